@@ -1,0 +1,1 @@
+"""RotatingRing: a synthetic testbed whose modes are Gaussian, rotate with the condition and are all valid."""
