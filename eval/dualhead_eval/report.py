@@ -1,0 +1,198 @@
+"""From gate files to a table that a newcomer can read: pure functions, no files.
+
+One row per run and pair of heads, at the gate's reference threshold and integration steps unless told
+otherwise. Every number is recomputed from the counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Any
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from dualhead_eval.aggregation import RunSummary, summarise_run
+from dualhead_eval.gate import Gate
+from dualhead_eval.inference import Interval
+from dualhead_eval.occupancy import Occupancy
+
+#: Valid-pair rate below which a run cannot be read, by partition. On the ring every expert path is valid,
+#: so invalid samples mean an under-trained sampler, whose survivors inflate |rho|; on the robots they are
+#: ordinary.
+READABLE_VALID_RATE = {"ring": 0.95}
+
+RHO = "\N{GREEK SMALL LETTER RHO}"
+
+EXPLANATION = (
+    (
+        "valid",
+        "share of sampled pairs in which both heads reach a mode; everything to its right is about these",
+    ),
+    (
+        "C",
+        "how much the heads could coordinate, given how varied each one is (0: one mode only, 1 - 1/K: all)",
+    ),
+    ("Δ", "how much more often than chance they choose the same mode (negative: less often)"),
+    (RHO, "Δ / C: 0 independent, 1 always together; in brackets the 95% interval over conditions"),
+    (
+        f"{RHO} = 0?",
+        f"whether |{RHO}| < 2% is established (two one-sided tests at 5%), and the smallest band that is",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the report.
+
+    Attributes:
+        summary: The run's statistics for one pair of heads.
+        partition: Name of the mode partition.
+        readable: False if the valid-pair rate is too low for this partition to read rho.
+    """
+
+    summary: RunSummary
+    partition: str
+    readable: bool
+
+    @property
+    def reading(self) -> str:
+        """What the row says, in plain words."""
+        summary = self.summary
+        if not self.readable:
+            limit = READABLE_VALID_RATE[self.partition]
+            return f"not yet readable: valid-pair rate below {limit:.2f}"
+        if summary.occupancy is Occupancy.UNKNOWN:
+            return "not estimable: no valid pair"
+        if summary.reason:
+            return "collapsed: a head chose one mode in every condition"
+        return f"{summary.occupancy.word} ({summary.occupancy.site})"
+
+
+def report_rows(gates: Iterable[Gate], *, tau: float | None = None, nfe: int | None = None) -> list[Row]:
+    """Rows of the report: every pair of heads of every gate.
+
+    Raises:
+        KeyError: If a gate does not hold the threshold or the number of steps asked for.
+    """
+    rows = []
+    for gate in gates:
+        partition = str(gate.partition.get("name", ""))
+        for pair in combinations(range(len(gate.heads)), 2):
+            summary = summarise_run(gate, heads=pair, tau=tau, nfe=nfe)
+            enough = summary.valid_rate >= READABLE_VALID_RATE.get(partition, 0.0)
+            rows.append(Row(summary, partition, enough))
+    return rows
+
+
+def render_table(gates: Sequence[Gate] | Sequence[Row], *, explain: bool = True) -> Group:
+    """A rich table of the runs, with a line per column underneath.
+
+    Args:
+        gates: Gates, or rows from :func:`report_rows`.
+        explain: Print what each column means.
+    """
+    rows = [item for item in gates if isinstance(item, Row)]
+    rows += report_rows(item for item in gates if isinstance(item, Gate))
+    several_heads = len({row.summary.heads for row in rows}) > 1
+    table = Table(title="Do the two heads choose modes together?", title_justify="left", pad_edge=False)
+    table.add_column("run", overflow="fold", min_width=12)
+    if several_heads:
+        table.add_column("heads", overflow="fold")
+    for name in ("K", "τ", "NFE", "valid", "C", "Δ"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column(f"{RHO} [95% interval]", justify="right", no_wrap=True)
+    table.add_column(f"{RHO} = 0?", no_wrap=True)
+    table.add_column("reading", overflow="fold", min_width=16)
+    for row in rows:
+        s = row.summary
+        cells: list[str | Text] = [s.label]
+        if several_heads:
+            cells.append(" ↔ ".join(s.heads))
+        cells += [str(s.n_modes), f"{s.tau:g}", str(s.nfe), f"{s.valid_rate:.3f}"]
+        cells += [
+            _number(s.capacity, ".4f"),
+            _number(s.delta, "+.4f"),
+            _with_interval(s.rho, s.intervals["rho"]),
+        ]
+        cells += [_equivalence(s), Text(row.reading, style="" if row.readable else "bold yellow")]
+        table.add_row(*cells)
+    if not explain:
+        return Group(table)
+    return Group(table, "", _explanation())
+
+
+def report_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """The rows as plain JSON objects; undefined numbers are null."""
+    objects = []
+    for row in rows:
+        summary = asdict(row.summary)
+        summary["occupancy"] = {
+            "site": row.summary.occupancy.site,
+            "word": row.summary.occupancy.word,
+            "meaning": row.summary.occupancy.meaning,
+        }
+        summary |= {"partition": row.partition, "readable": row.readable, "reading": row.reading}
+        summary["equivalence"]["verdict"] = row.summary.equivalence.verdict
+        objects.append(_without_nan(summary))
+    return objects
+
+
+def render_card(card: Mapping[str, Any], title: str = "Geometry card") -> Table:
+    """A dataset's geometry card as a two-column table; nested objects become dotted names."""
+    table = Table(title=title, title_justify="left", pad_edge=False)
+    table.add_column("quantity")
+    table.add_column("value", justify="right", overflow="fold")
+    for name, value in _flatten(card):
+        table.add_row(name, f"{value:.6g}" if isinstance(value, float) else str(value))
+    return table
+
+
+def _explanation() -> Table:
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True, style="bold")
+    table.add_column()
+    for name, meaning in EXPLANATION:
+        table.add_row(name, meaning)
+    for site in (Occupancy.FLOOR, Occupancy.ORIGIN, Occupancy.INTERIOR, Occupancy.CORNER, Occupancy.NEGATIVE):
+        table.add_row(f"{site.word} ({site.site})", site.meaning)
+    return table
+
+
+def _number(value: float, spec: str) -> str:
+    return "undefined" if value != value else format(value, spec)
+
+
+def _with_interval(value: float, interval: Interval) -> str:
+    if value != value:
+        return "undefined"
+    if interval.low != interval.low:
+        return f"{value:+.1%} [undefined]"
+    return f"{value:+.1%} [{interval.low:+.1%}, {interval.high:+.1%}]"
+
+
+def _equivalence(summary: RunSummary) -> str:
+    test = summary.equivalence
+    if test.equivalent is None:
+        return "undefined"
+    return f"{'yes' if test.equivalent else 'no'} (±{test.width:.1%})"
+
+
+def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
+    for key, item in value.items():
+        if isinstance(item, Mapping):
+            yield from _flatten(item, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", item
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and value != value else value

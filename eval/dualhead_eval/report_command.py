@@ -1,0 +1,110 @@
+"""``dualhead report``: gate files (or a recorded dataset) to tables and figures.
+
+Only the argument definitions are imported up front; everything else waits until the command runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+from pathlib import Path
+
+DESCRIPTION = "Turn gate files into a table, JSON and figures, or print a recorded dataset's geometry card."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of ``dualhead report``."""
+    parser.add_argument(
+        "inputs",
+        nargs="+",
+        type=Path,
+        metavar="GATE",
+        help="gate files written by `dualhead evaluate`, or dataset folders written by `dualhead record`",
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write every number to FILE")
+    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="also draw the attainable region")
+    parser.add_argument(
+        "--normalised",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="divide both axes of the figure by 1 - 1/K (default: when the runs differ in K)",
+    )
+    parser.add_argument("--tau", type=float, help="threshold to report (default: each gate's reference)")
+    parser.add_argument(
+        "--nfe", type=int, help="integration steps to report (default: each gate's reference)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the report and write the files asked for.
+
+    Raises:
+        FileNotFoundError: If an input does not exist.
+        FileExistsError: If an output exists and ``--overwrite`` was not given.
+        ValueError: If an input is not a gate file or a dataset.
+    """
+    outputs = [args.json, args.figure]
+    for output in outputs:
+        if output is not None and output.exists() and not args.overwrite:
+            raise FileExistsError(f"{output} exists: choose another name or add --overwrite")
+
+    from rich.console import Console
+
+    from dualhead_eval.gate import read_gate
+    from dualhead_eval.report import render_card, render_table, report_json, report_rows
+
+    console = Console()
+    if not console.is_terminal:
+        # A pipe or a file has no width of its own; the table needs about this much.
+        console = Console(width=140)
+    folders = [path for path in args.inputs if path.is_dir()]
+    for folder in folders:
+        console.print(render_card(_read_card(folder), title=f"Geometry card of {folder}"))
+    gates = [read_gate(path) for path in args.inputs if path not in folders]
+    if not gates:
+        if any(output is not None for output in outputs):
+            raise ValueError(
+                "no gate file was given, expected at least one for --json or --figure: add GATE files"
+            )
+        return 0
+    rows = report_rows(gates, tau=args.tau, nfe=args.nfe)
+    console.print(render_table(rows))
+    if args.json is not None:
+        write_text(args.json, json.dumps(report_json(rows), indent=2, allow_nan=False) + "\n")
+        console.print(f"numbers written to {args.json}")
+    if args.figure is not None:
+        from dualhead_eval.region_figure import draw_region
+
+        draw_region([row.summary for row in rows], args.figure, normalised=args.normalised)
+        console.print(f"attainable region drawn in {args.figure}")
+    return 0
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` to ``path`` in one step, so that no half-written file is ever seen."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".partial")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    os.chmod(temporary, 0o644)
+    os.replace(temporary, path)
+
+
+def _read_card(folder: Path) -> dict:
+    path = folder / "card.json"
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{folder} has no card.json, expected a dataset folder of `dualhead record` (or name a gate file)"
+        )
+    try:
+        card = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not complete JSON ({error}): record the dataset again") from error
+    if not isinstance(card, dict):
+        raise ValueError(
+            f"{path} holds a {type(card).__name__}, expected a JSON object: record the dataset again"
+        )
+    return card

@@ -1,0 +1,169 @@
+"""The report says what the counts say, in words that need no paper."""
+
+import argparse
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from dualhead_eval.aggregation import summarise_run
+from dualhead_eval.counts import joint_counts
+from dualhead_eval.gate import Gate, write_gate
+from dualhead_eval.region_figure import draw_region
+from dualhead_eval.report import render_card, render_table, report_json, report_rows
+from dualhead_eval.report_command import add_arguments, run
+
+
+def make_gate(label, couple, k=2, invalid=0.0, partition="ring", heads=2, prior=None):
+    rng = np.random.default_rng(0)
+    shared = rng.choice(k, p=prior, size=(12, 400))
+    labels = []
+    for _ in range(heads):
+        own = np.where(rng.random(shared.shape) < couple, shared, rng.choice(k, p=prior, size=shared.shape))
+        labels.append(np.where(rng.random(shared.shape) < invalid, -1, own))
+    return Gate(
+        heads=("joint", "position", "rotation")[:heads],
+        n_modes=k,
+        taus=[0.55],
+        nfes=[20],
+        reference_tau=0.55,
+        reference_nfe=20,
+        counts=joint_counts(labels[0], labels[1], k, *labels[2:])[None, None],
+        conditions=np.zeros((12, 3)),
+        pair_ids=np.arange(12),
+        provenance={"label": label, "partition": {"name": partition, "n_modes": k, "tau": 0.55}},
+    )
+
+
+def printed(renderable, width=140):
+    console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(renderable)
+    return console.export_text()
+
+
+def test_each_occupancy_is_named():
+    rows = report_rows(
+        [
+            make_gate("independent", 0.0),
+            make_gate("half", 0.7),
+            make_gate("token", 1.0),
+            make_gate("one mode", 1.0, prior=[1.0, 0.0]),
+        ]
+    )
+    assert [row.reading for row in rows] == [
+        "uncoordinated (I)",
+        "partly coordinated (III)",
+        "coordinated (IV)",
+        "collapsed: a head chose one mode in every condition",
+    ]
+
+
+def test_under_trained_ring_runs_are_flagged_and_robots_are_not():
+    ring, robot = report_rows(
+        [make_gate("ring", 0.5, invalid=0.1), make_gate("robot", 0.5, invalid=0.1, partition="bypass-v2")]
+    )
+    assert ring.reading == "not yet readable: valid-pair rate below 0.95"
+    assert robot.readable
+
+
+def test_the_table_prints_every_number_with_its_operating_point():
+    gate = make_gate("my run", 1.0)
+    text = printed(render_table([gate]))
+    summary = summarise_run(gate)
+    for cell in (
+        "my run",
+        "0.55",
+        "20",
+        f"{summary.capacity:.4f}",
+        f"{summary.delta:+.4f}",
+        "+100.0% [+100.0%",
+    ):
+        assert cell in text
+    assert "nan" not in text
+    assert len({len(line) for line in text.splitlines()[1:6]}) == 1
+
+
+def test_undefined_numbers_are_words_in_the_table_and_null_in_json():
+    gate = make_gate("one mode", 1.0, prior=[1.0, 0.0])
+    assert "undefined" in printed(render_table([gate]))
+    (entry,) = json.loads(json.dumps(report_json(report_rows([gate])), allow_nan=False))
+    assert entry["rho"] is None
+    assert entry["intervals"]["rho"]["low"] is None
+    assert "single mode" in entry["reason"]
+
+
+def test_three_heads_make_three_rows():
+    rows = report_rows([make_gate("pose", 0.5, heads=3)])
+    assert [row.summary.heads for row in rows] == [
+        ("joint", "position"),
+        ("joint", "rotation"),
+        ("position", "rotation"),
+    ]
+    assert "joint ↔ rotation" in printed(render_table(rows))
+
+
+def test_the_region_is_drawn_as_png(tmp_path):
+    path = draw_region([make_gate("a", 0.2), make_gate("b", 0.9, k=4)], tmp_path / "deep" / "region.png")
+    assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    empty = make_gate("none", 0.0, invalid=1.0)
+    with pytest.raises(ValueError, match="no run has a both-valid pair"):
+        draw_region([empty], tmp_path / "empty.png")
+
+
+def parse(*arguments):
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args([str(argument) for argument in arguments])
+
+
+def test_the_command_writes_what_was_asked_and_overwrites_nothing(tmp_path, capsys):
+    gate = write_gate(make_gate("run one", 0.6), tmp_path / "gate.json")
+    numbers, figure = tmp_path / "report.json", tmp_path / "region.png"
+    assert run(parse(gate, "--json", numbers, "--figure", figure)) == 0
+    assert "run one" in capsys.readouterr().out
+    assert json.loads(numbers.read_text())[0]["label"] == "run one"
+    before = numbers.read_bytes(), figure.read_bytes()
+    with pytest.raises(FileExistsError, match="--overwrite"):
+        run(parse(gate, "--json", numbers))
+    assert (numbers.read_bytes(), figure.read_bytes()) == before
+    assert run(parse(gate, "--json", numbers, "--overwrite")) == 0
+
+
+def test_a_dataset_folder_prints_its_card(tmp_path, capsys):
+    (tmp_path / "card.json").write_text(json.dumps({"mode_gap_mm": {"mean": 143.68}, "rejections": 0}))
+    assert run(parse(tmp_path)) == 0
+    out = capsys.readouterr().out
+    assert "mode_gap_mm.mean" in out
+    assert "143.68" in out
+    assert "rejections" in printed(render_card({"rejections": 0}))
+    with pytest.raises(FileNotFoundError, match=r"no card\.json"):
+        run(parse(tmp_path.parent))
+
+
+def test_the_module_refuses_bad_input_in_one_line(tmp_path):
+    bad = tmp_path / "bad.json"
+    bad.write_text("{")
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys; from dualhead_eval.report_command import *\nimport argparse\n"
+         "p = argparse.ArgumentParser(); add_arguments(p)\n"
+         "try: run(p.parse_args())\n"
+         "except ValueError as e: sys.exit(str(e))", str(bad)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "truncated" in done.stderr
+
+
+def test_the_core_imports_neither_torch_nor_matplotlib():
+    code = (
+        "import sys, dualhead_eval.effects, dualhead_eval.gate, dualhead_eval.aggregation, "
+        "dualhead_eval.report_command\n"
+        "sys.exit(str([m for m in ('torch', 'lerobot', 'matplotlib', 'gymnasium', 'rich') if m in "
+        "sys.modules]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == "[]"
