@@ -1,0 +1,1 @@
+"""Demonstrations to LeRobotDatasets: scripted experts, atomic shards, one bulk assembly."""
