@@ -115,7 +115,9 @@ class ShardStore:
             return []
         bounds = np.cumsum(columns["length"])[:-1]
         frames = [np.split(columns[key], bounds) for key in _FRAME_COLUMNS]
-        extra = {key.removeprefix("extra."): values for key, values in columns.items() if key.startswith("extra.")}
+        extra = {
+            key.removeprefix("extra."): values for key, values in columns.items() if key.startswith("extra.")
+        }
         return [
             Episode(
                 *(column[i] for column in frames),

@@ -55,7 +55,8 @@ def _histogram_quantile(ordered: np.ndarray, quantile: float) -> np.ndarray:
     rank = max(int(np.ceil(target)), 1)
     value = ordered[:, rank - 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        guess = np.nan_to_num((value - low) / step, nan=0.0, posinf=0.0, neginf=0.0)
+        # In a histogram of no width everything falls into the last bin.
+        guess = np.nan_to_num((value - low) / step, nan=_BINS - 1)
     index = np.clip(guess.astype(np.int64), 0, _BINS - 1)
     while (above := (value >= edge(index + 1)) & (index < _BINS - 1)).any():
         index += above
@@ -63,9 +64,7 @@ def _histogram_quantile(ordered: np.ndarray, quantile: float) -> np.ndarray:
         index -= below
     left, right = edge(index), edge(index + 1)
     before = (ordered < left[:, None]).sum(axis=1)
-    up_to = np.where(
-        index == _BINS - 1, ordered.shape[1], (ordered < right[:, None]).sum(axis=1)
-    )
+    up_to = np.where(index == _BINS - 1, ordered.shape[1], (ordered < right[:, None]).sum(axis=1))
     fraction = (target - before) / np.maximum(up_to - before, 1)
     return np.where(index == 0, low, left + fraction * (right - left))
 

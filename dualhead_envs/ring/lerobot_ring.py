@@ -37,7 +37,8 @@ class RotatingRingConfig(DualheadEnvConfig):
             raise ValueError(f"env.n_modes={self.n_modes} has no environment, expected one of {known}")
         if self.task not in (None, env_id):
             raise ValueError(
-                f"env.task={self.task!r} is not {env_id}, as env.n_modes={self.n_modes} asks: set env.n_modes alone"
+                f"env.task={self.task!r} is not {env_id}, as env.n_modes={self.n_modes} asks: "
+                "set env.n_modes alone"
             )
         self.task = env_id
         super().__post_init__()
