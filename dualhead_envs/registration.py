@@ -16,6 +16,15 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "kwargs": {"n_modes": n_modes},
     }
     for n_modes in (2, 3, 4, 8)
+} | {
+    "BimodalBypass-v2": {
+        "entry_point": "dualhead_envs.bypass.bimodal:bimodal_bypass",
+        "max_episode_steps": 300,
+    },
+    "RotatingBypass-v3": {
+        "entry_point": "dualhead_envs.bypass.rotating:rotating_bypass",
+        "max_episode_steps": 300,
+    },
 }
 
 

@@ -1,0 +1,91 @@
+"""BimodalBypass-v2: past a wall, on the left or on the right."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dualhead_envs.bypass.environment import BypassEnv
+from dualhead_envs.bypass.layout import BIMODAL_BYPASS_LAYOUT
+from dualhead_envs.bypass.partition import BIMODAL_TAU, BimodalPartition
+from dualhead_envs.bypass.task import BIMODAL_BYPASS
+from dualhead_envs.space_tables import with_space_tables
+
+_LAYOUT = BIMODAL_BYPASS_LAYOUT
+
+
+@with_space_tables(
+    agent_pos=_LAYOUT.table(_LAYOUT.agent_pos),
+    environment_state=_LAYOUT.table(_LAYOUT.environment_state),
+    joint=_LAYOUT.table(_LAYOUT.action["joint"]),
+    position=_LAYOUT.table(_LAYOUT.action["position"]),
+    rotation=_LAYOUT.table(_LAYOUT.action["rotation"]),
+    gripper=_LAYOUT.table(_LAYOUT.action["gripper"]),
+)
+class BimodalBypassEnv(BypassEnv):
+    """A Panda carries a cube past a wall to a goal behind it, on the left or on the right.
+
+    The scene is robosuite 1.4.1's Lift with a wall and a goal (paper, sec:envs and app:prereg); MuJoCo steps it at
+    500 Hz, 25 steps to one action (20 Hz).
+
+    ## Observation space
+    A dictionary of float32 arrays. Metres, radians, and the world frame of robosuite's Lift: x away from the
+    robot's base, y to its left, z up.
+
+    ``agent_pos``:
+
+    {agent_pos}
+
+    ``environment_state``:
+
+    {environment_state}
+
+    With ``pixels=True`` also ``pixels``, RGB (height, width, 3) uint8; this needs EGL or OSMesa.
+
+    ## Action space
+    Absolute targets, to be reached at the end of the step. ``control="joint"`` takes joints and gripper:
+
+    {joint}
+
+    ``control="position"`` takes the position and the gripper, and holds the rotation of the start:
+
+    {position}
+
+    ``control="pose"`` takes the position, the rotation and the gripper:
+
+    {rotation}
+
+    In every control the gripper comes last:
+
+    {gripper}
+
+    Nothing is clipped: a target out of reach is approached as far as the arm goes.
+
+    ## Start and end of an episode
+    The robot starts at rest above the table with an open hand; the cube's x is uniform in [-0.15, -0.09] m, y in
+    [-0.03, 0.03] m and yaw in [-0.25, 0.25] rad, all from ``np_random``. ``reset(options={"state": s})`` restores
+    ``s = env.unwrapped.state()`` exactly, at any point of an episode, or the start of a recorded episode from
+    ``s = {"environment_state": first_frame}``. The episode terminates when the cube lies at the goal (within 0.05 m
+    in the plane, below 0.83 m, slower than 0.05 m/s), or as a collision when anything touches the wall; it is
+    truncated after 300 steps.
+
+    ## Reward and info
+    The reward is 1 on success and 0 otherwise. ``info`` holds, at reset and at every step, ``is_success`` (bool),
+    ``mode`` (0 left, 1 right, -1 undecided, of the path so far by ``mode_partition``) and ``collision`` (bool).
+
+    ## Arguments
+    ``control``; ``feed_forward`` (True: position and pose targets are tracked without lag, False: robosuite's law as
+    it is); ``pixels``, ``render_mode`` (``"rgb_array"``), ``camera`` (a camera of the scene, or None for a view of
+    the obstacle) and ``image_size`` (height, width); ``tau``, the partition's threshold in metres.
+    """
+
+    bypass = BIMODAL_BYPASS
+    layout = _LAYOUT
+    task_description = "Carry the cube past the wall, on either side, and drop it at the goal."
+
+    def __init__(self, *, tau: float = BIMODAL_TAU, **settings: Any) -> None:
+        super().__init__(BimodalPartition(tau), **settings)
+
+
+def bimodal_bypass(**settings: Any) -> BimodalBypassEnv:
+    """Entry point of the id: a function, so that the environment itself refuses ``render_mode="human"``."""
+    return BimodalBypassEnv(**settings)

@@ -1,0 +1,125 @@
+"""Pairs of demonstrations: both modes from one initial state, kept only if both succeed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dualhead_envs.bypass.demonstrator import (
+    AMPLITUDE,
+    AMPLITUDE_DEVIATION,
+    Commands,
+    follow,
+    grasp_and_lift,
+    pass_and_release,
+    route_apex,
+)
+from dualhead_envs.bypass.environment import BypassEnv
+
+#: The modes part where the two demonstrations are further apart than this (m; paper, app:prereg).
+SEPARATION = 1e-5
+
+
+@dataclass
+class Demonstration:
+    """One episode as measured: T steps, T + 1 states.
+
+    Attributes:
+        agent_pos: Observations (T + 1, 24) float32, the last one after the last step.
+        environment_state: Observations (T + 1, C) float32.
+        gripper: Gripper commands (T,).
+        clearance: Smallest distance to the obstacle (m) on the way past it.
+        apex_error: Smallest distance (m) in the cross-section (y, z) from the route's apex.
+        success: Whether the cube ended at the goal without a collision.
+    """
+
+    agent_pos: list[np.ndarray] = field(default_factory=list)
+    environment_state: list[np.ndarray] = field(default_factory=list)
+    gripper: list[float] = field(default_factory=list)
+    clearance: float = np.inf
+    apex_error: float = np.inf
+    success: bool = False
+
+    def positions(self) -> np.ndarray:
+        """Measured positions of the grip site (T + 1, 3) in m."""
+        return np.array(self.agent_pos)[:, 14:17]
+
+    def actions(self) -> np.ndarray:
+        """Dual actions (T, 17) float32: the state measured one step later, and the gripper's command.
+
+        Joints (7), position (3), rotation (6), gripper (1).
+        """
+        after = np.array(self.agent_pos)[1:]
+        gripper = np.array(self.gripper, dtype=np.float32)[:, None]
+        return np.concatenate([after[:, :7], after[:, 14:17], after[:, 17:23], gripper], axis=1)
+
+
+@dataclass
+class Pair:
+    """Both demonstrations from one initial state."""
+
+    demonstrations: tuple[Demonstration, Demonstration]
+    branch_step: int
+    amplitude: float
+
+    @property
+    def success(self) -> bool:
+        """Whether both succeeded."""
+        return all(demonstration.success for demonstration in self.demonstrations)
+
+
+def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
+    """Both modes from the initial state of ``seed``; ``env`` needs ``control="pose", feed_forward=False``."""
+    observation, _ = env.reset(seed=seed)
+    initial = env.initial_state
+    amplitude = float(env.np_random.normal(AMPLITUDE, AMPLITUDE_DEVIATION))
+    start_rotation = env.simulation.rotation.copy()
+    start_position = env.simulation.position.copy()
+    shared = Demonstration([observation["agent_pos"]], [observation["environment_state"]])
+    legs = grasp_and_lift(initial)
+    _execute(env, follow(legs, start_position, 0.0), start_rotation, shared)
+    branch = env.state()
+
+    demonstrations = []
+    for mode in (0, 1):
+        env.reset(options={"state": branch})
+        demonstration = Demonstration(
+            list(shared.agent_pos), list(shared.environment_state), list(shared.gripper)
+        )
+        route = pass_and_release(env.bypass, initial, mode, amplitude)
+        commands = follow(route, np.asarray(legs[-1].position), 0.0)
+        _execute(env, commands, start_rotation, demonstration, measure_clearance=True)
+        apex = route_apex(env.bypass, initial, mode, amplitude)
+        offsets = demonstration.positions()[len(shared.gripper) :, 1:] - apex[1:3]
+        demonstration.apex_error = float(np.linalg.norm(offsets, axis=1).min())
+        demonstrations.append(demonstration)
+    first, second = demonstrations
+    shortest = min(len(first.gripper), len(second.gripper)) + 1
+    apart = np.linalg.norm(first.positions()[:shortest] - second.positions()[:shortest], axis=1) > SEPARATION
+    return Pair((first, second), int(np.argmax(apart)) - 1, amplitude)
+
+
+def _execute(
+    env: BypassEnv,
+    commands: Commands,
+    start_rotation: np.ndarray,
+    demonstration: Demonstration,
+    *,
+    measure_clearance: bool = False,
+) -> None:
+    """Run ``commands`` until they end or the episode does, and append what was measured."""
+    for position, yaw, gripper in zip(commands.positions, commands.yaws, commands.gripper, strict=True):
+        cosine, sine = np.cos(yaw), np.sin(yaw)
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        rotation = turn @ start_rotation
+        action = np.concatenate([position, rotation[:, 0], rotation[:, 1], [gripper]])
+        observation, _, terminated, _, info = env.step(action)
+        demonstration.agent_pos.append(observation["agent_pos"])
+        demonstration.environment_state.append(observation["environment_state"])
+        demonstration.gripper.append(float(gripper))
+        if measure_clearance:
+            demonstration.clearance = min(demonstration.clearance, env.simulation.clearance())
+        if terminated:
+            demonstration.success = info["is_success"]
+            return

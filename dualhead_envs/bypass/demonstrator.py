@@ -1,0 +1,105 @@
+"""The scripted expert: grasp, lift, go past the obstacle by the given mode, drop at the goal.
+
+It commands absolute poses to robosuite's operational-space law without feed-forward, along minimum-jerk segments;
+what a policy learns from is not the commands but the measured states. Both demonstrations of a pair share everything
+up to the branch, which is the lift pose: conditions differ there, because the cube's do.
+
+Lengths are in control steps (20 Hz), places in metres in the world frame, yaw in rad from the start's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dualhead_envs.bypass.environment import InitialState
+from dualhead_envs.bypass.task import ROUTE_CENTER, ROUTE_FLATTENING, ROUTE_YAW, BypassTask
+
+OPEN, CLOSED = -1.0, 1.0
+#: Lateral amplitude of v2's routes (m): mean and standard deviation over pairs. The mean sets the paper's gap of
+#: 143.7 mm within the window, the deviation its spread.
+AMPLITUDE, AMPLITUDE_DEVIATION = 0.1645, 0.0008
+
+_ABOVE_CUBE, _AT_CUBE, _LIFTED = 0.9215, 0.8215, 0.955
+_OUT_X, _PAST_X = -0.10, 0.245
+_RELEASE_X, _RETURN_Z, _RELEASE_Z = 0.24, 0.92, 0.90
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One segment: to ``position`` (3,) and ``yaw`` in ``steps``, then ``hold`` steps there."""
+
+    position: tuple[float, float, float]
+    yaw: float
+    steps: int
+    hold: int
+    gripper: float
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What the expert commands: positions (T, 3), yaws (T,), gripper (T,)."""
+
+    positions: np.ndarray
+    yaws: np.ndarray
+    gripper: np.ndarray
+
+
+def minimum_jerk(steps: int) -> np.ndarray:
+    """Fractions (steps,) of a segment that starts and ends at rest: 10 s^3 - 15 s^4 + 6 s^5, s = 1/steps .. 1."""
+    s = np.arange(1, steps + 1) / max(steps, 1)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def follow(legs: Sequence[Leg], position: np.ndarray, yaw: float) -> Commands:
+    """The commands of ``legs``, one after the other, from ``position`` (3,) and ``yaw``."""
+    positions, yaws, gripper = [], [], []
+    for leg in legs:
+        share = np.concatenate([minimum_jerk(leg.steps), np.ones(leg.hold)])
+        target = np.asarray(leg.position)
+        positions.append(position + share[:, None] * (target - position))
+        yaws.append(yaw + share * (leg.yaw - yaw))
+        gripper.append(np.full(len(share), leg.gripper))
+        position, yaw = target, leg.yaw
+    return Commands(np.concatenate(positions), np.concatenate(yaws), np.concatenate(gripper))
+
+
+def grasp_and_lift(initial: InitialState) -> list[Leg]:
+    """From the start to the lift pose, where the modes part."""
+    x, y = initial.cube_x, initial.cube_y
+    return [
+        Leg((x, y, _ABOVE_CUBE), 0.0, 24, 0, OPEN),
+        Leg((x, y, _AT_CUBE), 0.0, 18, 4, OPEN),
+        Leg((x, y, _AT_CUBE), 0.0, 0, 12, CLOSED),
+        Leg((x, y, _LIFTED), 0.0, 20, 6, CLOSED),
+    ]
+
+
+def route_azimuth(initial: InitialState, mode: int) -> float:
+    """Azimuth psi of v3's mode 0 or 1 in rad: phi, phi + pi/2."""
+    return initial.phi + 0.5 * np.pi * mode
+
+
+def route_apex(task: BypassTask, initial: InitialState, mode: int, amplitude: float) -> np.ndarray:
+    """Where the route of ``mode`` passes the obstacle, before it: (x, y, z) in m, and the yaw there, (4,)."""
+    if task.route_radius is None:
+        return np.array([_OUT_X, amplitude * (1.0 - 2.0 * mode), _LIFTED, 0.0])
+    psi, radius = route_azimuth(initial, mode), initial.route_radius
+    y = ROUTE_CENTER[0] + radius * np.cos(psi)
+    z = ROUTE_CENTER[1] + ROUTE_FLATTENING * radius * np.sin(psi)
+    return np.array([_OUT_X, y, z, ROUTE_YAW * np.cos(psi)])
+
+
+def pass_and_release(task: BypassTask, initial: InitialState, mode: int, amplitude: float) -> list[Leg]:
+    """From the lift pose past the obstacle by ``mode``, back to the middle, down, and let go."""
+    _, y, z, yaw = route_apex(task, initial, mode, amplitude)
+    steps, hold = (13, 0) if task.route_radius is None else (7, 8)
+    return [
+        Leg((_OUT_X, y, z), yaw, steps, hold, CLOSED),
+        Leg((_PAST_X, y, z), yaw, 24, 4, CLOSED),
+        Leg((_RELEASE_X, 0.0, _RETURN_Z), 0.0, 22, 0, CLOSED),
+        Leg((_RELEASE_X, 0.0, _RELEASE_Z), 0.0, 16, 10, CLOSED),
+        Leg((_RELEASE_X, 0.0, _RELEASE_Z), 0.0, 0, 20, OPEN),
+    ]

@@ -1,0 +1,320 @@
+"""What the two bypass environments share: the episode, its observations, its states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+
+from dualhead_envs.bypass.controllers import make_control
+from dualhead_envs.bypass.partition import BypassPartition
+from dualhead_envs.bypass.simulation import PandaSimulation
+from dualhead_envs.bypass.task import BypassTask
+from dualhead_envs.layout import Layout
+
+#: Steps after which an episode is truncated; a demonstration takes about 200.
+MAX_EPISODE_STEPS = 300
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """What differs between episodes at their start.
+
+    Attributes:
+        cube_x, cube_y, cube_yaw: The cube on the table (m, m, rad).
+        route_radius: R of v3's routes (m); 0 in v2.
+        route_azimuth: theta of v3's routes in [0, pi) (rad); 0 in v2. The condition shows phi = theta mod pi/2
+            only: which of the two routes the generator drew first is not for a policy to see.
+    """
+
+    cube_x: float
+    cube_y: float
+    cube_yaw: float
+    route_radius: float = 0.0
+    route_azimuth: float = 0.0
+
+    @property
+    def phi(self) -> float:
+        """Azimuth of mode 0's route (rad), in [0, pi/2)."""
+        return float(np.mod(self.route_azimuth, 0.5 * np.pi))
+
+
+class BypassEnv(gym.Env):
+    """Base of :class:`BimodalBypassEnv` and :class:`RotatingBypassEnv`, which hold the documentation."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012  (Gymnasium's own convention)
+    bypass: ClassVar[BypassTask]
+    layout: ClassVar[Layout]
+    task_description: ClassVar[str]
+
+    def __init__(
+        self,
+        partition: BypassPartition,
+        *,
+        control: str = "joint",
+        feed_forward: bool = True,
+        pixels: bool = False,
+        render_mode: str | None = None,
+        camera: str | None = None,
+        image_size: tuple[int, int] = (256, 256),
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode={render_mode!r} is not supported: choose 'rgb_array' or None")
+        if len(image_size) != 2 or min(image_size) < 1:
+            raise ValueError(f"image_size={image_size!r} should be (height, width) in pixels, for example (256, 256)")
+        self.control = control
+        self.action_space = self.layout.action_space(control)  # refuses a control that does not exist
+        self.observation_space = self.layout.observation_space()
+        self.mode_partition = partition
+        self.render_mode = render_mode
+        self._pixels = pixels
+        self._camera = camera
+        self._image_size = (int(image_size[0]), int(image_size[1]))
+        if pixels:
+            box = gym.spaces.Box(0, 255, (*self._image_size, 3), np.uint8)
+            self.observation_space = gym.spaces.Dict({**self.observation_space.spaces, "pixels": box})
+        self._arguments = {
+            "control": control, "feed_forward": feed_forward, "pixels": pixels, "render_mode": render_mode,
+            "camera": camera, "image_size": self._image_size, "tau": partition.tau,
+        }  # fmt: skip
+        # What lerobot-eval asks of an environment.
+        self.task = self.bypass.env_id
+        self._max_episode_steps = MAX_EPISODE_STEPS
+        self._control = make_control(control, feed_forward=feed_forward)
+        self.simulation = PandaSimulation(self.bypass, self._control.form)
+        self._renderer: Any = None
+        self._initial: InitialState | None = None
+        self._context = np.empty(0)
+        self._label = -1
+        self._strength = 0.0
+        self._ended = True
+
+    # A MuJoCo model does not pickle small; the arguments do. The copy starts before its first reset.
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (type(self), self._arguments)
+
+    @property
+    def initial_state(self) -> InitialState:
+        """How this episode began.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if self._initial is None:
+            raise gym.error.ResetNeeded("there is no episode yet: call reset()")
+        return self._initial
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Start an episode at a random or restored state; see the class docstring.
+
+        Raises:
+            ValueError: If ``options`` holds anything but a valid ``state`` of this environment.
+        """
+        super().reset(seed=seed)
+        options = dict(options or {})
+        state = options.pop("state", None)
+        if options:
+            raise ValueError(f"reset options {sorted(options)} do not exist: the only option is 'state'")
+        self._label, self._strength = -1, 0.0
+        if state is None:
+            self._begin(self._draw())
+        else:
+            self._restore(state)
+        self._ended = False
+        self._follow_mode()
+        return self._observation(), self._info(is_success=False)
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Execute ``action`` for one control step of 50 ms.
+
+        Raises:
+            ValueError: If the action has the wrong shape or holds a number that is not finite.
+            gymnasium.error.ResetNeeded: If the episode has ended or never begun.
+        """
+        if self._ended:
+            raise gym.error.ResetNeeded("the episode has ended or never begun: call reset() before step()")
+        self._control.step(self.simulation, self._checked(action))
+        self._follow_mode()
+        is_success = not self.simulation.touched and self.simulation.cube_at_goal()
+        terminated = is_success or self.simulation.touched
+        self._ended = terminated
+        return self._observation(), float(is_success), terminated, False, self._info(is_success)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the episode depends on, for ``reset(options={"state": ...})``.
+
+        Under the same control the episode continues bit for bit. Under another the physics are the same and the
+        control starts anew.
+        """
+        initial = self.initial_state
+        return {
+            "env_id": self.bypass.env_id,
+            "control": self.control,
+            "physics": self.simulation.snapshot(),
+            "memory": self._control.memory(),
+            "initial": np.array([getattr(initial, name) for name in InitialState.__dataclass_fields__]),
+            "mode": np.array([self._label, self._strength]),
+        }
+
+    def render(self) -> np.ndarray | None:
+        """The scene: RGB (height, width, 3) uint8, or None without render_mode.
+
+        Raises:
+            RuntimeError: If no OpenGL library can be used; the sentence says what to install.
+            gymnasium.error.ResetNeeded: If there is no episode to show.
+        """
+        if self.render_mode is None:
+            gym.logger.warn("render() was called without a render_mode: pass render_mode='rgb_array' to gym.make")
+            return None
+        return self._picture()
+
+    def close(self) -> None:
+        """Give the OpenGL context back, if one was opened."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _picture(self) -> np.ndarray:
+        if self._initial is None:
+            raise gym.error.ResetNeeded("there is no episode to show: call reset() before render()")
+        if self._renderer is None:
+            from dualhead_envs.bypass.rendering import SceneRenderer
+
+            height, width = self._image_size
+            self._renderer = SceneRenderer(self.bypass, width, height, self._camera)
+        return self._renderer.render(self.simulation.data.qpos)
+
+    def _draw(self) -> InitialState:
+        task, rng = self.bypass, self.np_random
+        ranges = [task.cube_x, task.cube_y, task.cube_yaw]
+        if task.route_radius is not None:
+            ranges += [task.route_radius, (0.0, np.pi)]
+        return InitialState(*(float(rng.uniform(low, high)) for low, high in ranges))
+
+    def _begin(self, initial: InitialState) -> None:
+        self._initial = initial
+        self.simulation.reset(initial.cube_x, initial.cube_y, initial.cube_yaw)
+        self._control.start(self.simulation)
+        task = self.bypass
+        context = [*task.goal, *task.obstacle_center, *task.obstacle_half_size]
+        if task.route_radius is not None:
+            context += [initial.route_radius, np.cos(initial.phi), np.sin(initial.phi)]
+        self._context = np.array(context)
+
+    def _restore(self, state: Any) -> None:
+        if not isinstance(state, Mapping):
+            raise ValueError(
+                f"options['state'] is a {type(state).__name__}, expected what env.unwrapped.state() returns, or "
+                "{'environment_state': ...} of an episode's first frame"
+            )
+        if set(state) == {"environment_state"}:
+            self._begin(self._recorded(state["environment_state"]))
+            return
+        expected = {"env_id", "control", "physics", "memory", "initial", "mode"}
+        if set(state) != expected:
+            raise ValueError(
+                f"options['state'] has the keys {sorted(state)}, expected {sorted(expected)} as env.unwrapped.state() "
+                "returns, or environment_state alone"
+            )
+        if state["env_id"] != self.bypass.env_id:
+            raise ValueError(
+                f"options['state'] was recorded in {state['env_id']}, expected {self.bypass.env_id}: "
+                f"restore it in an environment made as {state['env_id']}"
+            )
+        physics = np.asarray(state["physics"], dtype=np.float64)
+        if physics.shape != (self.simulation.snapshot_size,) or not np.isfinite(physics).all():
+            raise ValueError(
+                f"options['state']['physics'] has shape {physics.shape}, expected {self.simulation.snapshot_size} "
+                "finite numbers: record it anew with the installed version of MuJoCo"
+            )
+        self._begin(InitialState(*(float(value) for value in state["initial"])))
+        self.simulation.restore(physics)
+        self._label, self._strength = int(state["mode"][0]), float(state["mode"][1])
+        if state["control"] == self.control:
+            self._control.recall(np.asarray(state["memory"], dtype=np.float64))
+        else:
+            self._control.start(self.simulation)
+
+    def _recorded(self, environment_state: Any) -> InitialState:
+        """The initial state that a dataset's first frame describes, to float32's precision."""
+        values = np.asarray(environment_state, dtype=np.float64)
+        names = [dimension.name for dimension in self.layout.environment_state]
+        task = self.bypass
+        constants = np.array([*task.goal, *task.obstacle_center, *task.obstacle_half_size])
+        if (
+            values.shape != (len(names),)
+            or not np.isfinite(values).all()
+            or np.abs(values[9:18] - constants).max() > 1e-4
+        ):
+            raise ValueError(
+                f"options['state']['environment_state'] has shape {values.shape} or describes another scene, expected "
+                f"{len(names)} finite numbers of {task.env_id}: use the first frame of one of its episodes"
+            )
+        (x_low, x_high), (y_low, y_high) = task.cube_x, task.cube_y
+        if not (x_low - 0.05 < values[0] < x_high + 0.05 and y_low - 0.05 < values[1] < y_high + 0.05) or (
+            abs(values[2] - 0.821) > 0.005
+        ):
+            raise ValueError(
+                f"options['state']['environment_state'] has the cube at {np.round(values[:3], 3).tolist()}, which is "
+                "not where an episode starts: use an episode's first frame, or env.unwrapped.state() for later ones"
+            )
+        yaw = float(np.arctan2(values[4], values[3]))
+        if task.route_radius is None:
+            return InitialState(values[0], values[1], yaw)
+        return InitialState(values[0], values[1], yaw, values[18], float(np.arctan2(values[20], values[19])))
+
+    def _checked(self, action: np.ndarray) -> np.ndarray:
+        values = np.asarray(action, dtype=np.float64)
+        shape = self.action_space.shape
+        if values.shape != shape:
+            groups = " + ".join(
+                f"{len(self.layout.action[group])} {group}" for group in self.layout.control_groups(self.control)
+            )
+            raise ValueError(
+                f"the action has shape {values.shape}, expected {shape} ({groups}) under control={self.control!r}: "
+                "take these dimensions of the dual action vector with layout.control_indices(control)"
+            )
+        if not np.isfinite(values).all():
+            where = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise ValueError(
+                f"the action holds {values[where]} at index {where}, expected finite numbers: the policy has diverged"
+            )
+        return values
+
+    def _follow_mode(self) -> None:
+        # The partition's strength is a peak over the path: it can be followed one point at a time.
+        label, strength = self.mode_partition.score(self.simulation.position[None], self._context)
+        if strength > self._strength:
+            self._label, self._strength = int(label), float(strength)
+
+    def _info(self, is_success: bool) -> dict[str, Any]:
+        mode = self._label if self._strength >= self.mode_partition.tau else -1
+        return {"is_success": is_success, "mode": mode, "collision": self.simulation.touched}
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        simulation = self.simulation
+        rotation, cube = simulation.rotation, simulation.cube_rotation
+        observation = {
+            "agent_pos": np.concatenate(
+                [
+                    simulation.joints, simulation.joint_velocities, simulation.position,
+                    rotation[:, 0], rotation[:, 1], [simulation.opening],
+                ],
+                dtype=np.float32,
+            ),
+            "environment_state": np.concatenate(
+                [simulation.cube_position, cube[:, 0], cube[:, 1], self._context], dtype=np.float32
+            ),
+        }  # fmt: skip
+        if self._pixels:
+            observation["pixels"] = self._picture()
+        return observation
+
+
+def _rebuild(cls: type[BypassEnv], arguments: dict[str, Any]) -> BypassEnv:
+    return cls(**arguments)  # type: ignore[arg-type]
