@@ -53,7 +53,7 @@ class ShardStore:
         except BlockingIOError:
             self._release()
             raise BlockingIOError(
-                f"{self.folder} is being written by another process: wait for it, or choose another output folder"
+                f"{self.folder} is in use by another process: wait for it, or choose another output folder"
             ) from None
         except BaseException:
             self._release()
@@ -90,7 +90,7 @@ class ShardStore:
             columns[f"extra.{key}"] = np.array([episode.extra[key] for episode in episodes], dtype=np.float64)
         temporary = self.folder / f"{name}.partial"
         with open(temporary, "wb") as file:
-            np.savez(file, allow_pickle=False, **columns)  # type: ignore[arg-type]
+            np.savez(file, allow_pickle=False, **columns)
             file.flush()
             os.fsync(file.fileno())
         temporary.rename(self.folder / f"{name}.npz")
@@ -114,14 +114,18 @@ class ShardStore:
         if not len(columns["length"]):
             return []
         bounds = np.cumsum(columns["length"])[:-1]
-        frames = [np.split(columns[key], bounds) for key in _FRAME_COLUMNS]
+        frames = {key: np.split(columns[key], bounds) for key in _FRAME_COLUMNS}
         extra = {
             key.removeprefix("extra."): values for key, values in columns.items() if key.startswith("extra.")
         }
         return [
             Episode(
-                *(column[i] for column in frames),
-                *(int(columns[key][i]) for key in _EPISODE_COLUMNS),
+                frames["observation_state"][i],
+                frames["environment_state"][i],
+                frames["action"][i],
+                mode=int(columns["mode"][i]),
+                pair=int(columns["pair"][i]),
+                branch_step=int(columns["branch_step"][i]),
                 extra={key: float(values[i]) for key, values in extra.items()},
             )
             for i in range(len(columns["length"]))

@@ -41,12 +41,12 @@ def episode_statistics(values: np.ndarray) -> Statistics:
 
 
 def _histogram_quantile(ordered: np.ndarray, quantile: float) -> np.ndarray:
-    """The quantile (n, d) that a histogram of ``ordered`` (n, T, d), sorted along T, gives by interpolation."""
+    """The quantile (n, d) that LeRobot's histogram of ``ordered`` (n, T, d), sorted along T, gives."""
     low, high = ordered[:, 0] - 1e-10, ordered[:, -1] + 1e-10
     step = (high - low) / _BINS
 
     def edge(index: np.ndarray) -> np.ndarray:
-        # As numpy.linspace rounds: multiples of the step are added to the start, and the last edge is the end.
+        # As numpy.linspace rounds: multiples of the step added to the start, and the end itself at the end.
         inner = index.astype(low.dtype) * step + low
         return np.where(index == _BINS, high, inner)
 

@@ -56,6 +56,15 @@ class RingTask:
         self.map = representation_map(representation)
         self.generator = RingGenerator(n_modes, mode_probabilities, mode_angles, path_spread)
         self.partition = RingPartition(n_modes, mode_angles, tau)
+        #: The arguments, as JSON, with which the same task can be made again.
+        self.settings: dict[str, Any] = {
+            "representation": representation,
+            "control": control,
+            "mode_probabilities": None if mode_probabilities is None else list(self.generator.probabilities),
+            "mode_angles": None if mode_angles is None else list(self.generator.angles),
+            "path_spread": self.generator.path_spread,
+            "tau": self.partition.tau,
+        }
         self.description = f"Go out to one of the {n_modes} modes of the ring and come back."
 
     def decode(self, action: ArrayLike) -> np.ndarray:
