@@ -1,0 +1,61 @@
+"""The sampling interface: what evaluation, residuals and monitors ask of a policy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class HeadSamples:
+    """Chunks sampled for B conditions, N per condition and head, in physical units.
+
+    Attributes:
+        joint: Head A (B, N, H, d_A): rad on robots, the chosen representation on the ring.
+        position: Head B (B, N, H, d): m, in the frame of the environment's layout.
+        rotation: Third head (B, N, H, 6): first two columns of the rotation matrix, or None.
+        token: Shared token (B, N), or None for a policy without one.
+    """
+
+    joint: Tensor
+    position: Tensor
+    rotation: Tensor | None = None
+    token: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class SamplingCoupling:
+    """What the heads share while sampling; every field left at None means the policy's own choice.
+
+    Attributes:
+        source_noise_beta: beta of sec:heads; 1 private noise, 0 shared noise.
+        source_noise: The noise itself by head (``"joint"``, ``"position"``), each (B, N, H, d); overrides beta.
+            Passing one member's noise to another couples an ensemble.
+        token: Tokens (B, N) to use instead of drawing them.
+        share_token: Whether the heads follow one token; False draws a second one for the position head.
+    """
+
+    source_noise_beta: float | None = None
+    source_noise: Mapping[str, Tensor] | None = None
+    token: Tensor | None = None
+    share_token: bool = True
+
+
+class Sampler(Protocol):
+    """Anything that samples both heads: a trained policy, or the exact reference."""
+
+    def sample(
+        self,
+        batch: Mapping[str, Tensor],
+        num_samples: int,
+        *,
+        num_steps: int | None = None,
+        coupling: SamplingCoupling | None = None,
+        generator: torch.Generator | None = None,
+    ) -> HeadSamples:
+        """Sample ``num_samples`` chunks per condition and head, in ``num_steps`` Euler steps."""
+        ...

@@ -1,0 +1,92 @@
+"""Discrete tokens that both heads see: where they come from, how often they occur, how they are drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from sklearn.cluster import KMeans
+from torch import Tensor, nn
+from torch.nn import functional
+
+#: Windows used to fit k-means; more change the centroids by less than their own spread.
+MAX_CLUSTERED_WINDOWS = 50_000
+
+
+class TokenTable(nn.Module):
+    """Tokens 0..n-1 with their training frequencies and, for window tokens, their centroids.
+
+    Args:
+        n_tokens: Number of tokens.
+        window_dim: Flattened size of a window's positions for k-means tokens, or 0.
+
+    Buffers:
+        marginal: Frequency of every token in training (n_tokens,).
+        centroids: k-means centroids (n_tokens, window_dim), metres.
+    """
+
+    marginal: Tensor
+    centroids: Tensor
+
+    def __init__(self, n_tokens: int, window_dim: int):
+        super().__init__()
+        self.n_tokens = n_tokens
+        self.register_buffer("marginal", torch.full((n_tokens,), 1 / n_tokens))
+        self.register_buffer("centroids", torch.zeros(n_tokens, window_dim))
+
+    def fit_windows(self, windows: np.ndarray, seed: int) -> TokenTable:
+        """Cluster the training windows' absolute positions (N, H * d) in metres (families J, J' of tab:main).
+
+        Raises:
+            ValueError: If there are fewer distinct windows than tokens.
+        """
+        rng = np.random.default_rng(seed)
+        if len(windows) > MAX_CLUSTERED_WINDOWS:
+            windows = windows[rng.choice(len(windows), MAX_CLUSTERED_WINDOWS, replace=False)]
+        if len(np.unique(windows[: 10 * self.n_tokens], axis=0)) < self.n_tokens:
+            raise ValueError(
+                f"the dataset has fewer distinct windows than policy.n_tokens={self.n_tokens}: record more "
+                "episodes or ask for fewer tokens"
+            )
+        kmeans = KMeans(self.n_tokens, n_init=4, random_state=int(rng.integers(2**31))).fit(windows)
+        self.centroids.copy_(torch.from_numpy(kmeans.cluster_centers_.astype(np.float32)))
+        self.fit_marginal(torch.from_numpy(kmeans.labels_))
+        return self
+
+    def fit_marginal(self, tokens: Tensor) -> TokenTable:
+        """Set the training frequencies from the training tokens (N,)."""
+        counts = torch.bincount(tokens.long(), minlength=self.n_tokens).to(torch.float32)
+        self.marginal.copy_(counts / counts.sum())
+        return self
+
+    def assign(self, position: Tensor) -> Tensor:
+        """The nearest centroid of every window of positions (B, H, d) in metres; tokens (B,)."""
+        return torch.cdist(position.flatten(1), self.centroids).argmin(dim=1)
+
+    def draw(self, shape: tuple[int, ...], draw: str, generator: torch.Generator | None) -> Tensor:
+        """Draw tokens of ``shape``, ``"uniform"`` or from the training ``"marginal"``."""
+        device = generator.device if generator is not None else torch.device("cpu")
+        if draw == "uniform":
+            return torch.randint(self.n_tokens, shape, generator=generator, device=device)
+        weights = self.marginal.to(device)
+        count = int(np.prod(shape))
+        return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(shape)
+
+    def corrupt(
+        self, token: Tensor, *, replacement_prob: float, null_prob: float, generator: torch.Generator | None
+    ) -> Tensor:
+        """Training-time corruption of tokens (B,).
+
+        With ``replacement_prob`` a token becomes a uniformly random token (the paper's token dropout); with
+        ``null_prob`` it becomes the null token, numbered ``n_tokens``.
+        """
+        if replacement_prob <= 0 and null_prob <= 0:
+            return token
+        device = generator.device if generator is not None else torch.device("cpu")
+        chance = torch.rand(token.shape, generator=generator, device=device).to(token.device)
+        random = self.draw(tuple(token.shape), "uniform", generator).to(token.device)
+        token = torch.where(chance < replacement_prob, random, token)
+        return torch.where(chance >= 1 - null_prob, self.n_tokens, token)
+
+    def one_hot(self, token: Tensor) -> Tensor:
+        """One-hot code (..., n_tokens); the null token is all zeros."""
+        return functional.one_hot(token, self.n_tokens + 1)[..., : self.n_tokens].to(torch.float32)

@@ -1,0 +1,103 @@
+"""From command-line flags to a validated LeRobot training configuration."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import draccus
+from lerobot.configs import parser
+from lerobot.configs.train import TrainPipelineConfig
+
+from dualhead_policy.training.checkpoints import last_checkpoint
+from dualhead_policy.training.presets import PRESETS
+
+
+def parse_training_config(arguments: Sequence[str], preset: str | None) -> TrainPipelineConfig:
+    """Parse the flags of ``lerobot-train`` as ``dualhead train`` completes them.
+
+    ``--policy.type=dualhead`` and ``--dataset.repo_id`` may be left out; ``--resume=true --output_dir=RUN``
+    finds the newest checkpoint of RUN.
+
+    Args:
+        arguments: Flags in LeRobot's spelling.
+        preset: Name of a preset whose values the flags override, or None.
+
+    Raises:
+        ValueError: If a flag or value is unknown, in one sentence.
+        FileExistsError: If the output folder already holds a run.
+        FileNotFoundError: If there is no dataset, or nothing to resume from.
+    """
+    given = list(arguments)
+    resume = (parser.parse_arg("resume", given) or "false").lower() in ("true", "1", "yes")
+    complete: list[str] = []
+    if resume and not parser.parse_arg("config_path", given):
+        complete = [f"--config_path={_checkpoint_config(parser.parse_arg('output_dir', given))}"]
+    elif not resume:
+        root = parser.parse_arg("dataset.root", given)
+        if root is None:
+            raise ValueError(
+                "--dataset.root is missing: give the training split, for example --dataset.root=data/ring/train"
+            )
+        complete = ["--env_eval_freq=0"]
+        complete += [f"--{name}={value}" for name, value in PRESETS[preset or "smoke"].items()]
+        if not parser.parse_arg("dataset.repo_id", given):
+            complete.append(f"--dataset.repo_id=local/{Path(root).resolve().parent.name}")
+        if not (parser.get_path_arg("policy", given) or parser.get_type_arg("policy", given)):
+            complete.insert(0, "--policy.type=dualhead")
+    with _command_line([*complete, *given]):
+        cfg = _parse()
+        _refuse_existing(cfg)
+        cfg.validate()
+    return cfg
+
+
+def _checkpoint_config(output_dir: str | None) -> Path:
+    if output_dir is None:
+        raise ValueError("--resume=true needs the run to resume: give its --output_dir")
+    checkpoint = last_checkpoint(output_dir)
+    if checkpoint is None:
+        raise FileNotFoundError(
+            f"{output_dir} holds no complete checkpoint to resume from: delete the folder and start again"
+        )
+    return checkpoint / "pretrained_model" / "train_config.json"
+
+
+def _refuse_existing(cfg: TrainPipelineConfig) -> None:
+    if not cfg.resume and cfg.output_dir is not None and Path(cfg.output_dir).exists():
+        raise FileExistsError(
+            f"{cfg.output_dir} already exists: continue it with --resume=true, or give another --output_dir"
+        )
+
+
+@contextlib.contextmanager
+def _command_line(arguments: list[str]) -> Iterator[None]:
+    """LeRobot reads parts of its configuration from ``sys.argv`` again while validating."""
+    saved = sys.argv
+    sys.argv = ["dualhead train", *arguments]
+    try:
+        yield
+    finally:
+        sys.argv = saved
+
+
+def _parse() -> TrainPipelineConfig:
+    @parser.wrap()
+    def configured(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
+        return cfg
+
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return configured()  # type: ignore[call-arg]  # the decorator supplies cfg
+    except (SystemExit, argparse.ArgumentError, draccus.utils.DecodingError) as error:
+        text = complaint.getvalue().strip() or str(error)
+        reason = text.splitlines()[-1].removeprefix("dualhead train: error: ")
+        raise ValueError(
+            f"{reason}: `dualhead train` takes the flags of lerobot-train, and every field of DualheadConfig as "
+            "--policy.FIELD=VALUE"
+        ) from error

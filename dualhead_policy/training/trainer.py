@@ -1,0 +1,175 @@
+"""Train one policy: ``lerobot-train``'s loop with the windows in memory."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from dualhead_envs.dataset_frames import read_split
+from lerobot.common.train_utils import load_training_state, should_save_checkpoint
+from lerobot.configs.train import TrainPipelineConfig
+from lerobot.datasets import LeRobotDatasetMetadata
+from lerobot.optim.factory import make_optimizer_and_scheduler
+from lerobot.policies import make_policy, make_pre_post_processors
+from lerobot.utils.random_utils import set_seed
+
+from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.training.checkpoints import write_checkpoint
+from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
+
+#: One line of ``training_log.jsonl`` summarises this many steps at most.
+LOG_EVERY = 200
+
+Progress = Callable[[int, float], None]
+
+
+class Training:
+    """A training run: policy, optimiser and data, ready to make steps.
+
+    Args:
+        cfg: A validated LeRobot training configuration with a ``dualhead`` policy.
+        fresh_paths: Draw new ring paths at every step instead of visiting the recorded windows.
+
+    Raises:
+        ValueError: If the policy is of another type, or the dataset does not suit it.
+    """
+
+    def __init__(self, cfg: TrainPipelineConfig, *, fresh_paths: bool = False):
+        if not isinstance(cfg.policy, DualheadConfig):
+            raise ValueError(
+                f"--policy.type={cfg.policy.type if cfg.policy else None} is not 'dualhead': use lerobot-train for "
+                "other policies"
+            )
+        self.cfg = cfg
+        seed = cfg.seed if cfg.seed is not None else 0
+        set_seed(seed)
+        frames = read_split(cfg.dataset.root or "")
+        meta = LeRobotDatasetMetadata(cfg.dataset.repo_id, root=cfg.dataset.root)
+        # Resuming and fine-tuning load weights, and LeRobot announces each on standard output.
+        policy = make_policy(cfg.policy, ds_meta=meta)
+        assert isinstance(policy, DualheadPolicy)
+        self.policy = policy.train()
+        processor_path = cfg.policy.pretrained_path
+        self.processors = make_pre_post_processors(
+            cfg.policy,
+            pretrained_path=str(processor_path) if processor_path else None,
+            **({} if cfg.resume else {"dataset_stats": meta.stats}),
+        )
+        self.optimizer, self.scheduler = make_optimizer_and_scheduler(cfg, self.policy)
+        for group in self.optimizer.param_groups:
+            group["fused"] = True
+        self.step = 0
+        if cfg.resume:
+            assert cfg.checkpoint_path is not None
+            self.step, self.optimizer, self.scheduler = load_training_state(
+                cfg.checkpoint_path, self.optimizer, self.scheduler
+            )
+        self.source: WindowSource = RecordedWindows(
+            frames, self.policy, self.processors[0], cfg.batch_size, seed
+        )
+        if fresh_paths:
+            self.source = self._fresh_paths(frames.sidecar, seed)
+
+    def _fresh_paths(self, sidecar: dict[str, Any], seed: int) -> FreshRingPaths:
+        if not sidecar.get("env_id", "").startswith("RotatingRing-v"):
+            raise ValueError(
+                f"--fresh_paths draws from the ring's generator, but the dataset was recorded from "
+                f"{sidecar.get('env_id', 'an unknown environment')}: leave it out"
+            )
+        return FreshRingPaths(
+            sidecar["env_kwargs"],
+            sidecar["partition"]["n_modes"],
+            self.policy,
+            self.processors[0],
+            self.cfg.batch_size,
+            seed,
+        )
+
+    def update(self, batch: Batch) -> float:
+        """One optimiser step; returns the loss."""
+        loss, _ = self.policy.compute_loss(batch.observation, batch.action, batch.token)
+        loss.backward()
+        assert self.cfg.optimizer is not None
+        torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.cfg.optimizer.grad_clip_norm)
+        self.optimizer.step()
+        self.optimizer.zero_grad()
+        if self.scheduler is not None:
+            self.scheduler.step()
+        self.policy.update()
+        self.step += 1
+        return loss.item()
+
+    def save(self) -> Path:
+        """Write a checkpoint of the current step; returns its ``pretrained_model`` folder."""
+        return write_checkpoint(
+            self.cfg, self.step, self.policy, self.optimizer, self.scheduler, self.processors
+        )
+
+    def run(self, progress: Progress | None = None) -> Path:
+        """Train to the configured number of steps, saving on the way.
+
+        Args:
+            progress: Called after every step with the step and its loss.
+
+        Returns:
+            The final checkpoint's ``pretrained_model`` folder.
+
+        Raises:
+            ValueError: If the loss stops being finite.
+        """
+        cfg = self.cfg
+        assert cfg.output_dir is not None
+        output = Path(cfg.output_dir)
+        output.mkdir(parents=True, exist_ok=True)
+        log = TrainingLog(output / "training_log.jsonl", self.step)
+        saved: Path | None = None
+        while self.step < cfg.steps:
+            loss = self.update(self.source.batch(self.step))
+            if loss != loss:
+                raise ValueError(
+                    f"the loss is not a number at step {self.step}: lower policy.optimizer_lr (now "
+                    f"{cfg.policy.optimizer_lr}) and resume from the last checkpoint"  # type: ignore[union-attr]
+                )
+            log.add(self.step, loss)
+            if progress is not None:
+                progress(self.step, loss)
+            if cfg.save_checkpoint and should_save_checkpoint(self.step, cfg.save_freq, cfg.steps):
+                log.flush(self.step)
+                saved = self.save()
+        return saved or self.save()
+
+
+class TrainingLog:
+    """Mean losses, one JSON line per :data:`LOG_EVERY` steps; a resumed run drops what it will do again."""
+
+    def __init__(self, path: Path, step: int):
+        self.path = path
+        kept = []
+        if path.is_file():
+            kept = [line for line in path.read_text().splitlines() if line and json.loads(line)["step"] <= step]
+        path.write_text("".join(line + "\n" for line in kept))
+        self._losses: list[float] = []
+        self._since = time.perf_counter()
+
+    def add(self, step: int, loss: float) -> None:
+        self._losses.append(loss)
+        if len(self._losses) >= LOG_EVERY:
+            self.flush(step)
+
+    def flush(self, step: int) -> None:
+        if not self._losses:
+            return
+        seconds = time.perf_counter() - self._since
+        line = {
+            "step": step,
+            "loss": sum(self._losses) / len(self._losses),
+            "steps_per_second": len(self._losses) / seconds,
+        }
+        with self.path.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+        self._losses, self._since = [], time.perf_counter()
