@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dualhead_eval.atomic_text import write_text
 from dualhead_eval.counts import pair_counts
 from dualhead_eval.residual_strata import ResidualStrata
 
@@ -200,18 +200,7 @@ def write_gate(gate: Gate, path: str | os.PathLike, *, overwrite: bool = False) 
             "objects, and None instead of NaN"
         ) from error
     digest = hashlib.sha256(content.encode()).hexdigest()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".partial")
-    try:
-        with os.fdopen(handle, "w") as file:
-            file.write(f'{{"format": "{FORMAT}", "sha256": "{digest}", "content": {content}}}\n')
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_text(target, f'{{"format": "{FORMAT}", "sha256": "{digest}", "content": {content}}}\n')
     return target
 
 

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import tempfile
 from pathlib import Path
 
 DESCRIPTION = "Turn gate files into a table, JSON and figures, or print a recorded dataset's geometry card."
@@ -53,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rich.console import Console
 
+    from dualhead_eval.atomic_text import write_text
     from dualhead_eval.gate import read_gate
     from dualhead_eval.report import render_card, render_table, report_json, report_rows
 
@@ -81,16 +80,6 @@ def run(args: argparse.Namespace) -> int:
         draw_region([row.summary for row in rows], args.figure, normalised=args.normalised)
         console.print(f"attainable region drawn in {args.figure}")
     return 0
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` in one step, so that no half-written file is ever seen."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".partial")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
-    os.chmod(temporary, 0o644)
-    os.replace(temporary, path)
 
 
 def _read_card(folder: Path) -> dict:
