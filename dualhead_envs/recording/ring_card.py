@@ -1,81 +1,88 @@
-"""The geometry card of a ring dataset: how far apart the modes are, and whether a shortcut tells them."""
+"""The geometry card of a ring dataset: how far apart the modes are, and whether a shortcut tells them.
+
+A path's 36 scalar features are its 32 coordinates in the world frame, each axis' mean, and each axis' value
+where it is largest in size (the paper counts as many: appendix "Testbed and environment specification").
+"""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dualhead_envs.layout import Layout
 from dualhead_envs.recording.episode import Episode
-from dualhead_envs.recording.shards import write_atomically
-from dualhead_envs.ring.partition import RingPartition
+from dualhead_envs.ring.geometry import HORIZON
+
+#: What the paper reports (appendix "Testbed and environment specification").
+PAPER = {"mode_gap_cv": 0.1767, "single_feature_auroc": 0.5253}
+
+#: What each row of the card means, in the order in which they are shown.
+MEANINGS = {
+    "train_paths": "paths to train on, each under a condition of its own",
+    "held_out_conditions": "conditions in val and in test together, each shown in every mode",
+    "rejections": "paths left out: none, so that the data are the mixture that the exact reference knows",
+    "invalid_share": "share of all paths that belong to no mode by the partition",
+    "other_mode_share": "share of all paths that the partition gives another mode than the expert meant",
+    "mode_gap_mean_mm": "distance between the two nearest modes of a held-out condition, mean over the path",
+    "mode_gap_sd_mm": "... its standard deviation over conditions",
+    "mode_gap_cv": "... and the ratio of the two",
+    "single_feature_auroc": "best AUROC of one scalar of a training path for a mode; 0.5 is no shortcut",
+}
 
 
-def write_ring_card(
-    path: Path, splits: Mapping[str, Sequence[Episode]], layout: Layout, partition: RingPartition
-) -> None:
-    """Write the card of ``splits`` to ``path`` as JSON; every number comes with a sentence on its meaning."""
-    card: dict[str, Any] = {"format": "dualhead-card/1", "partition": partition.to_dict(), "splits": {}}
-    for split, episodes in splits.items():
-        modes = np.array([episode.mode for episode in episodes])
-        labels = np.array([episode.extra["label"] for episode in episodes])
-        card["splits"][split] = {
-            "episodes": len(episodes),
-            "conditions": len({episode.pair for episode in episodes}),
-            "mode_counts": np.bincount(modes, minlength=partition.n_modes).tolist(),
-            "rejections": 0,
-            "invalid_paths": int((labels < 0).sum()),
-            "paths_of_another_mode": int(((labels >= 0) & (labels != modes)).sum()),
-        }
-    card["mode_gap"] = {
-        "meaning": "largest distance over the window between two demonstrations of one condition (val and "
-        "test), over all pairs of modes",
-        **mode_gap([*splits["val"], *splits["test"]], layout),
-    }
-    card["single_feature_auroc"] = {
-        "meaning": "strongest of the scalar features of a path (val and test excluded) as a test of one mode "
-        "against the others; 0.5 is no shortcut",
-        **strongest_feature(splits["train"], layout),
-    }
-    write_atomically(path, json.dumps(card, indent=4) + "\n")
-
-
-def mode_gap(episodes: Sequence[Episode], layout: Layout) -> dict[str, float]:
-    """Mean, standard deviation and coefficient of variation of the gap between modes, in millimetres."""
-    by_pair: dict[tuple[float, ...], list[np.ndarray]] = {}
-    for episode in episodes:
-        condition = tuple(episode.environment_state[0].tolist())
-        by_pair.setdefault(condition, []).append(_positions(episode, layout))
-    gaps = 1e3 * np.array(
-        [
-            np.linalg.norm(a - b, axis=-1).max()
-            for paths in by_pair.values()
-            for a, b in combinations(paths, 2)
-        ]
-    )
-    return {"mean_mm": gaps.mean(), "sd_mm": gaps.std(), "cv": gaps.std() / gaps.mean(), "pairs": len(gaps)}
-
-
-def strongest_feature(episodes: Sequence[Episode], layout: Layout) -> dict[str, Any]:
-    """The scalar feature of a path that alone tells a mode best, pooled over conditions, by AUROC.
-
-    The features are the 32 coordinates of the path in the world frame, each axis' mean, and each axis' value
-    where it is largest in size: 36 in all, as in the paper (appendix "Testbed"). An AUROC below one half
-    counts as its complement.
-    """
-    paths = np.stack([_positions(episode, layout) for episode in episodes])
+def ring_card(env_id: str, splits: Mapping[str, Sequence[Episode]], layout: Layout) -> dict[str, Any]:
+    """The card of the episodes of train, val and test: measured values, the paper's, and what they mean."""
+    episodes = [episode for split in splits.values() for episode in split]
     modes = np.array([episode.mode for episode in episodes])
+    labels = np.array([episode.extra["label"] for episode in episodes])
+    gaps = np.array(
+        [_mode_gap(group, layout) for split in ("val", "test") for group in _by_pair(splits[split])]
+    )
+    feature, auroc = strongest_feature(
+        np.array([_path(episode, layout) for episode in splits["train"]]),
+        np.array([episode.mode for episode in splits["train"]]),
+    )
+    measured = {
+        "train_paths": len(splits["train"]),
+        "held_out_conditions": len(gaps),
+        "rejections": 0,
+        "invalid_share": float((labels < 0).mean()),
+        "other_mode_share": float(((labels >= 0) & (labels != modes)).mean()),
+        "mode_gap_mean_mm": float(gaps.mean()),
+        "mode_gap_sd_mm": float(gaps.std(ddof=1)),
+        "mode_gap_cv": float(gaps.std(ddof=1) / gaps.mean()),
+        "single_feature_auroc": auroc,
+    }
+    return {
+        "format": "dualhead-card/1",
+        "env_id": env_id,
+        "horizon": HORIZON,
+        "measured": {key: measured[key] for key in MEANINGS},
+        "paper": PAPER,
+        "single_feature": feature,
+        "meanings": MEANINGS,
+    }
+
+
+def strongest_feature(paths: np.ndarray, modes: np.ndarray) -> tuple[str, float | None]:
+    """The scalar feature of a path that alone tells a mode from the others best, pooled over conditions.
+
+    Args:
+        paths: Positions (n, 16, 2) in metres.
+        modes: Modes (n,).
+
+    Returns:
+        The feature's name and its AUROC from 0.5 to 1; ``("", None)`` if there is but one mode.
+    """
     peak = np.take_along_axis(paths, np.abs(paths).argmax(axis=1, keepdims=True), axis=1)[:, 0]
     features = np.concatenate([paths.reshape(len(paths), -1), paths.mean(axis=1), peak], axis=1)
     names = [f"{axis} at step {h}" for h in range(paths.shape[1]) for axis in "xy"]
     names += ["mean x", "mean y", "peak x", "peak y"]
     ranks = features.argsort(axis=0).argsort(axis=0) + 1.0
-    best: dict[str, Any] = {"auroc": float("nan"), "feature": None, "mode": None, "features": len(names)}
+    best: tuple[str, float | None] = ("", None)
     for mode in np.unique(modes):
         chosen = modes == mode
         n, rest = int(chosen.sum()), int((~chosen).sum())
@@ -84,10 +91,23 @@ def strongest_feature(episodes: Sequence[Episode], layout: Layout) -> dict[str, 
         auroc = (ranks[chosen].sum(axis=0) - n * (n + 1) / 2) / (n * rest)
         auroc = np.maximum(auroc, 1 - auroc)
         strongest = int(auroc.argmax())
-        if not auroc[strongest] <= best["auroc"]:
-            best |= {"auroc": float(auroc[strongest]), "feature": names[strongest], "mode": int(mode)}
-    return best if best["feature"] else best | {"auroc": None}
+        if best[1] is None or auroc[strongest] > best[1]:
+            best = (names[strongest], float(auroc[strongest]))
+    return best
 
 
-def _positions(episode: Episode, layout: Layout) -> np.ndarray:
+def _mode_gap(episodes: Sequence[Episode], layout: Layout) -> float:
+    """Distance in millimetres between the two nearest of ``episodes``, each the mean over its steps."""
+    paths = [_path(episode, layout) for episode in episodes]
+    return 1e3 * min(np.linalg.norm(a - b, axis=-1).mean() for a, b in combinations(paths, 2))
+
+
+def _by_pair(episodes: Sequence[Episode]) -> list[list[Episode]]:
+    groups: dict[int, list[Episode]] = {}
+    for episode in episodes:
+        groups.setdefault(episode.pair, []).append(episode)
+    return list(groups.values())
+
+
+def _path(episode: Episode, layout: Layout) -> np.ndarray:
     return episode.action[:, layout.action_slices["position"]].astype(np.float64)

@@ -7,6 +7,7 @@ and test) depends on ``bank_seed`` alone, and a smaller bank is the beginning of
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,10 +17,10 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
-from dualhead_envs.recording.assembly import assemble, sync_tree
+from dualhead_envs.recording.assembly import assemble
 from dualhead_envs.recording.episode import Episode
-from dualhead_envs.recording.ring_card import write_ring_card
-from dualhead_envs.recording.shards import ShardStore
+from dualhead_envs.recording.ring_card import ring_card
+from dualhead_envs.recording.shards import ShardStore, write_atomically
 from dualhead_envs.recording.staging import publish, staging_for
 from dualhead_envs.ring.generator import RingGenerator
 from dualhead_envs.ring.geometry import HORIZON
@@ -45,7 +46,7 @@ def record_ring(
 
     In the train split every episode has its own condition, and a mode from the prior; in val and test every
     condition has one episode a mode. No episode is rejected: a path that the partition calls invalid is part
-    of the Gaussian that the exact reference knows, and ``card.json`` counts such paths.
+    of the mixture that the exact reference knows, and ``card.json`` counts such paths.
 
     Args:
         env_id: A ``RotatingRing`` id.
@@ -119,8 +120,8 @@ def record_ring(
                 "rejections": 0,
             }
             assemble(shards, dataset / split, ring.layout, info, task=ring.description)
-        write_ring_card(dataset / "card.json", splits, ring.layout, ring.partition)
-        sync_tree(dataset)
+        card = ring_card(env_id, splits, ring.layout)
+        write_atomically(dataset / "card.json", json.dumps(card, indent=2) + "\n")
         publish(dataset, root)
         store.discard()
     return root
@@ -149,7 +150,7 @@ def _record_shards(
 def _record(
     make: Callable[[int], RotatingRingVectorEnv], split: str, seed: int, start: int, stop: int
 ) -> list[Episode]:
-    """The episodes of the conditions ``start`` to ``stop - 1`` of a split, as the environment measures them."""
+    """The episodes of conditions ``start`` to ``stop - 1`` of a split, as the environment measures them."""
     generator = make(1).generator
     blocks = range(start // _BLOCK, -(-stop // _BLOCK))
     drawn = [_draw(generator, split, seed, block) for block in blocks]

@@ -32,11 +32,11 @@ class ShardStore:
 
     Args:
         folder: The staging folder.
-        configuration: All that determines the episodes, as JSON; a folder of another one is refused.
+        configuration: All that determines the episodes, as JSON; shards of another one are refused.
 
     Raises:
         BlockingIOError: On entering, if another process holds the folder.
-        FileExistsError: On entering, if the folder belongs to another configuration.
+        FileExistsError: On entering, if the folder holds shards of another configuration.
     """
 
     def __init__(self, folder: Path, configuration: Mapping[str, Any]):
@@ -133,11 +133,15 @@ class ShardStore:
 
     def discard(self) -> None:
         """Delete the staging folder; the store is of no further use."""
-        shutil.rmtree(self.folder)
+        # Renamed first: another process that is about to look must find all of it or nothing.
+        doomed = self.folder.with_name(self.folder.name + ".discarded")
+        shutil.rmtree(doomed, ignore_errors=True)
+        self.folder.rename(doomed)
+        shutil.rmtree(doomed)
 
     def _claim(self) -> None:
         path = self.folder / "configuration.json"
-        if path.exists():
+        if path.exists() and self.names():
             found = json.loads(path.read_text())
             if found != self.configuration:
                 keys = sorted(

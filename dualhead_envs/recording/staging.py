@@ -22,13 +22,13 @@ def staging_for(root: Path, configuration: Mapping[str, Any]) -> Iterator[ShardS
     """
     _refuse_occupied(root)
     with ShardStore(root.with_name(f".{root.name}.recording"), configuration) as store:
-        # Another process may have finished between the first look and the lock.
         try:
-            _refuse_occupied(root)
-        except FileExistsError:
-            store.discard()
+            _refuse_occupied(root)  # another process may have finished between the first look and the lock
+            yield store
+        except BaseException:
+            if not store.names():  # nothing to resume
+                store.discard()
             raise
-        yield store
 
 
 def publish(dataset: Path, root: Path) -> None:

@@ -34,37 +34,42 @@ def episode_statistics(values: np.ndarray) -> Statistics:
     else:
         statistics["std"] = np.sqrt(np.maximum(0, (values**2).mean(axis=1) - mean**2))
     statistics["count"] = np.full((n, 1), steps, dtype=np.int64)
-    ordered = np.sort(values, axis=1)
+    ordered = np.sort(values, axis=1).transpose(1, 0, 2).reshape(steps, -1)
     for key, quantile in QUANTILES.items():
-        statistics[key] = _histogram_quantile(ordered, quantile) if steps > 1 else mean.copy()
+        statistics[key] = _histogram_quantile(ordered, quantile).reshape(n, -1) if steps > 1 else mean.copy()
     return statistics
 
 
 def _histogram_quantile(ordered: np.ndarray, quantile: float) -> np.ndarray:
-    """The quantile (n, d) that LeRobot's histogram of ``ordered`` (n, T, d), sorted along T, gives."""
-    low, high = ordered[:, 0] - 1e-10, ordered[:, -1] + 1e-10
+    """The quantile (n,) that LeRobot's histogram of each column of ``ordered`` (T, n), sorted, gives."""
+    low, high = ordered[0] - 1e-10, ordered[-1] + 1e-10
     step = (high - low) / _BINS
 
-    def edge(index: np.ndarray) -> np.ndarray:
+    def edge(index: np.ndarray, of: np.ndarray | slice = np.s_[:]) -> np.ndarray:
         # As numpy.linspace rounds: multiples of the step added to the start, and the end itself at the end.
-        inner = index.astype(low.dtype) * step + low
-        return np.where(index == _BINS, high, inner)
+        return np.where(index == _BINS, high[of], index.astype(low.dtype) * step[of] + low[of])
 
     # The bin in which the histogram's cumulative count reaches the target is that of an order statistic.
-    target = quantile * ordered.shape[1]
-    rank = max(int(np.ceil(target)), 1)
-    value = ordered[:, rank - 1]
+    target = quantile * len(ordered)
+    value = ordered[max(int(np.ceil(target)), 1) - 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         # In a histogram of no width everything falls into the last bin.
         guess = np.nan_to_num((value - low) / step, nan=_BINS - 1)
     index = np.clip(guess.astype(np.int64), 0, _BINS - 1)
-    while (above := (value >= edge(index + 1)) & (index < _BINS - 1)).any():
-        index += above
-    while (below := (value < edge(index)) & (index > 0)).any():
-        index -= below
+    above = np.flatnonzero((value >= edge(index + 1)) & (index < _BINS - 1))
+    while len(above):
+        index[above] += 1
+        at = index[above]
+        above = above[(value[above] >= edge(at + 1, above)) & (at < _BINS - 1)]
+    below = np.flatnonzero((value < edge(index)) & (index > 0))
+    while len(below):
+        index[below] -= 1
+        at = index[below]
+        below = below[(value[below] < edge(at, below)) & (at > 0)]
+
     left, right = edge(index), edge(index + 1)
-    before = (ordered < left[:, None]).sum(axis=1)
-    up_to = np.where(index == _BINS - 1, ordered.shape[1], (ordered < right[:, None]).sum(axis=1))
+    before = (ordered < left).sum(axis=0)
+    up_to = np.where(index == _BINS - 1, len(ordered), (ordered < right).sum(axis=0))
     fraction = (target - before) / np.maximum(up_to - before, 1)
     return np.where(index == 0, low, left + fraction * (right - left))
 
