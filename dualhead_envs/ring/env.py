@@ -124,12 +124,11 @@ class RotatingRingEnv(gym.Env):
                 f"the action commands {target.shape[:-1]} points, expected one: pass a single action"
             )
         collision = not self.ring.inside_arena(target)
-        if not collision:
-            self._path[self._steps] = target
-            self._steps += 1
+        self._path[self._steps] = self._position() if collision else target
+        self._steps += 1
         mode = int(self.mode_partition.assign(self._path, self._condition))
         truncated = self._steps == HORIZON
-        is_success = truncated and mode >= 0
+        is_success = truncated and not collision and mode >= 0
         self._ended = collision or truncated
         info = {"is_success": is_success, "mode": mode, "collision": collision}
         return self._observation(), float(is_success), is_success or collision, truncated, info
@@ -151,10 +150,12 @@ class RotatingRingEnv(gym.Env):
 
         return draw_ring(self._path[: self._steps], self._condition, self.mode_partition)
 
+    def _position(self) -> np.ndarray:
+        return self._path[self._steps - 1].copy() if self._steps else np.zeros(2, dtype=np.float32)
+
     def _observation(self) -> dict[str, np.ndarray]:
         assert self._condition is not None
-        position = self._path[self._steps - 1] if self._steps else np.zeros(2, dtype=np.float32)
-        return {"agent_pos": position.copy(), "environment_state": self._condition.copy()}
+        return {"agent_pos": self._position(), "environment_state": self._condition.copy()}
 
 
 def rotating_ring(**settings: Any) -> RotatingRingEnv:

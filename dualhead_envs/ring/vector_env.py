@@ -121,14 +121,14 @@ class RotatingRingVectorEnv(gym.vector.VectorEnv):
             values = np.where(begin[:, None], 0.0, values)
         target = self.ring.decode(values)
         collision = ~self.ring.inside_arena(target) & ~begin
-        moved = np.flatnonzero(~collision & ~begin)
-        self._path[moved, self._steps[moved]] = target[moved]
-        self._position[moved] = target[moved]
-        self._steps[moved] += 1
+        running = np.flatnonzero(~begin)
+        np.copyto(self._position, target, where=~(collision | begin)[:, None], casting="same_kind")
+        self._path[running, self._steps[running]] = self._position[running]
+        self._steps[running] += 1
         if begin.any():
             self._begin(begin)
         mode = self.mode_partition.assign(self._path, self._condition)
-        is_success = (self._steps == HORIZON) & (mode >= 0)
+        is_success = (self._steps == HORIZON) & (mode >= 0) & ~collision
         truncated = self._steps >= self._max_episode_steps
         terminated = is_success | collision
         self._ended = terminated | truncated
