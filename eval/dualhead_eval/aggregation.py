@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dualhead_eval.counts import both_valid
+from dualhead_eval.dependence import entropy, mutual_information
 from dualhead_eval.effects import coordination
 from dualhead_eval.gate import Gate
 from dualhead_eval.inference import (
@@ -50,6 +51,8 @@ class RunSummary:
         delta_pooled, capacity_pooled, rho_pooled: The same from the pooled table.
         simpson: delta_pooled - delta, the marginals' co-movement across conditions.
         entropy_q, entropy_p: Modal entropy of each head's pooled marginal, nats.
+        mutual_information: Weighted mean of the conditions' mutual information, nats: at three modes or more
+            it sees dependence that delta cannot.
         agreement_all: Pairs with both heads valid and in one mode, over all sampled pairs.
         effect_all: valid_rate * delta, the effect over all sampled pairs (the second estimand of
             sec:mode-def).
@@ -85,6 +88,7 @@ class RunSummary:
     simpson: float
     entropy_q: float
     entropy_p: float
+    mutual_information: float
     agreement_all: float
     effect_all: float
     marginal_q: tuple[float, ...]
@@ -159,8 +163,9 @@ def summarise_table(
         n_pairs=n_pairs,
         n_both_valid=n_both_valid,
         capacity_relative=run["capacity"] / (1 - 1 / sums.n_modes),
-        entropy_q=_entropy(pooled.q),
-        entropy_p=_entropy(pooled.p),
+        entropy_q=float(entropy(pooled.q)),
+        entropy_p=float(entropy(pooled.p)),
+        mutual_information=_mean_information(both_valid(counts), per_condition),
         agreement_all=agreeing / n_pairs if n_pairs else float("nan"),
         effect_all=run["valid_rate"] * run["delta"],
         marginal_q=tuple(pooled.q.tolist()),
@@ -243,9 +248,11 @@ def total_variation(generated: ArrayLike, target: ArrayLike | None) -> float:
     return float(0.5 * np.abs(np.asarray(generated) - np.asarray(target)).sum())
 
 
-def _entropy(frequencies: NDArray) -> float:
-    positive = frequencies[frequencies > 0]
-    return float(-(positive * np.log(positive)).sum()) if np.isfinite(frequencies).all() else float("nan")
+def _mean_information(tables: NDArray, weight: NDArray) -> float:
+    used = weight > 0
+    if not used.any():
+        return float("nan")
+    return float(np.average(mutual_information(tables[used]), weights=weight[used]))
 
 
 def _reason(run: dict[str, float], n_both_valid: int) -> str:

@@ -89,11 +89,6 @@ class Coordination:
         """Capacity over its largest value at this K, capacity / (1 - 1/K): comparable across K."""
         return self.capacity / (1 - 1 / self.n_modes)
 
-    @property
-    def diversity_implied(self) -> NDArray:
-        """The diversity that delta alone certifies for either head, K/(K-1) delta^2 (thm:region, iii)."""
-        return self.n_modes / (self.n_modes - 1) * self.delta**2
-
 
 def validate_counts(counts: ArrayLike, *, smallest: int = 2) -> NDArray:
     """Counts as an integer array ``(..., K, K)``, or a sentence about what is wrong with them.
