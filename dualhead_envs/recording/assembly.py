@@ -25,7 +25,8 @@ from dualhead_envs.recording.statistics import Statistics, aggregate, episode_st
 
 FORMAT = "dualhead-dataset/1"
 
-_FILE_BYTES = 100 * 1024**2  # LeRobot's own limit of a file
+_FILE_MB = 100  # LeRobot's own limit
+_FILE_BYTES = _FILE_MB * 1024**2
 _FILES_A_CHUNK = 1000
 _PATH = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _BOOKKEEPING = {
@@ -226,7 +227,7 @@ def _dataset_info(features: Mapping[str, dict], fps: int, lengths: np.ndarray) -
         "total_frames": int(lengths.sum()),
         "total_tasks": 1,
         "chunks_size": _FILES_A_CHUNK,
-        "data_files_size_in_mb": _FILE_BYTES // 1024**2,
+        "data_files_size_in_mb": _FILE_MB,
         "video_files_size_in_mb": 200,
         "data_path": f"data/{_PATH}",
         "video_path": None,
