@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import time
 from pathlib import Path
@@ -102,8 +103,12 @@ def run(args: argparse.Namespace) -> int:
         root = record(
             env_id, args.root, seed=args.seed, env_kwargs=env_kwargs, progress=not args.no_progress, **options
         )
-    except BlockingIOError as error:  # two recordings into one folder
-        raise FileExistsError(error.args[0]) from error
+    except (BlockingIOError, RuntimeError) as error:  # two recordings into one folder; too many rejections
+        raise ValueError(error.args[0]) from error
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise ValueError(error.strerror) from error
     _print_summary(root, time.monotonic() - start)
     return 0
 

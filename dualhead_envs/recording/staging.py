@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,15 +20,19 @@ def staging_for(root: Path, configuration: Mapping[str, Any]) -> Iterator[ShardS
     Raises:
         FileExistsError: If ``root`` holds anything, or an unfinished recording of another configuration.
         BlockingIOError: If another process records into ``root``.
+        OSError: If the disk is full.
     """
     _refuse_occupied(root)
     with ShardStore(root.with_name(f".{root.name}.recording"), configuration) as store:
         try:
             _refuse_occupied(root)  # another process may have finished between the first look and the lock
             yield store
-        except BaseException:
+        except BaseException as error:
             if not store.names():  # nothing to resume
                 store.discard()
+            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+                advice = "the disk is full: free some space and repeat the command, what was recorded is kept"
+                raise OSError(error.errno, advice) from error
             raise
 
 

@@ -115,10 +115,10 @@ def test_actions_of_another_layout_are_refused_with_a_sentence():
 
 def test_lerobot_finds_the_choice_by_the_name_of_the_distribution(tmp_path):
     code = (
-        "from lerobot.utils.import_utils import register_third_party_plugins; register_third_party_plugins()\n"
+        "from lerobot.utils.import_utils import register_third_party_plugins\n"
+        "register_third_party_plugins()\n"
         "from lerobot.envs.factory import make_env_config; print(make_env_config('rotating_ring').task)"
     )
-    answer = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+    run = {"cwd": tmp_path, "capture_output": True, "text": True, "check": True}
+    answer = subprocess.run([sys.executable, "-c", code], **run)
     assert answer.stdout.split()[-1] == "RotatingRing-v2"
