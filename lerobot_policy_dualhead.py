@@ -5,5 +5,5 @@ LeRobot imports the module named like every installed distribution whose name st
 ``--env.type`` choices; every LeRobot command pays for this import, so nothing heavier happens here.
 """
 
-import dualhead_envs.lerobot_envs
+import dualhead_envs.lerobot_envs  # noqa: F401
 import dualhead_policy.configuration_dualhead  # noqa: F401

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 OBSERVATION_KEYS = ("observation.state", "observation.environment_state")
@@ -87,6 +89,37 @@ class SplitFrames:
         return digest.hexdigest()
 
 
+def read_columns(root: Path, info: dict[str, Any], wanted: Sequence[str]) -> dict[str, np.ndarray]:
+    """Columns of a LeRobotDataset v3.0 as arrays (F,) or (F, width), in order of the global index.
+
+    Args:
+        root: The dataset's folder.
+        info: Its ``meta/info.json``.
+        wanted: Feature keys.
+
+    Raises:
+        FileNotFoundError: If the folder holds no data.
+        ValueError: If a row has another width than the feature declares.
+    """
+    files = data_files(root)
+    if not files:
+        raise FileNotFoundError(f"{root} holds no Parquet data: expected data/chunk-*/file-*.parquet")
+    keys = [*wanted, *({"index"} - set(wanted))]
+    columns: dict[str, list[np.ndarray]] = {key: [] for key in keys}
+    for path in files:
+        try:
+            table = pq.read_table(path, columns=keys)
+        except pa.ArrowInvalid as error:
+            raise ValueError(
+                f"{path} is not a readable Parquet file: it may be truncated; record the dataset again"
+            ) from error
+        for key in keys:
+            columns[key].append(_column(table.column(key), info["features"][key]["shape"], root, key))
+    stacked = {key: np.concatenate(parts) for key, parts in columns.items()}
+    order = np.argsort(stacked["index"], kind="stable")
+    return {key: stacked[key][order] for key in wanted}
+
+
 def data_files(root: Path) -> list[Path]:
     """The Parquet data files of a LeRobotDataset v3.0 folder, in order."""
     return sorted((root / "data").glob("chunk-*/file-*.parquet"))
@@ -111,25 +144,15 @@ def read_split(root: str | Path) -> SplitFrames:
     info = json.loads(info_path.read_text())
     sidecar_path = root / "meta" / "dualhead.json"
     sidecar = json.loads(sidecar_path.read_text()) if sidecar_path.is_file() else {}
-    wanted = ["action", "episode_index", "frame_index", "index"]
+    wanted = ["action", "episode_index", "frame_index"]
     wanted += [key for key in (*OBSERVATION_KEYS, *LABEL_KEYS) if key in info["features"]]
-    missing = [key for key in wanted[:4] if key not in info["features"]]
+    missing = [key for key in wanted[:3] if key not in info["features"]]
     if missing or not any(key in wanted for key in OBSERVATION_KEYS):
         raise ValueError(
             f"{root} lacks the features {missing or list(OBSERVATION_KEYS)}: "
             "expected a dataset written by `dualhead record`"
         )
-    files = data_files(root)
-    if not files:
-        raise FileNotFoundError(f"{root} holds no Parquet data: expected data/chunk-*/file-*.parquet")
-    columns: dict[str, list[np.ndarray]] = {key: [] for key in wanted}
-    for path in files:
-        table = pq.read_table(path, columns=wanted)
-        for key in wanted:
-            columns[key].append(_column(table.column(key), info["features"][key]["shape"], root, key))
-    stacked = {key: np.concatenate(parts) for key, parts in columns.items()}
-    order = np.argsort(stacked.pop("index"), kind="stable")
-    stacked = {key: column[order] for key, column in stacked.items()}
+    stacked = read_columns(root, info, wanted)
     for key in ("action", *OBSERVATION_KEYS):
         if key in stacked and not np.isfinite(stacked[key]).all():
             bad = int(np.flatnonzero(~np.isfinite(stacked[key]).all(axis=1))[0])

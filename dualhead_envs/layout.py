@@ -91,9 +91,7 @@ class Layout:
 
     def observation_space(self) -> gym.spaces.Dict:
         """The state-only observation space (``agent_pos`` and ``environment_state``)."""
-        return gym.spaces.Dict(
-            {"agent_pos": _box(self.agent_pos), "environment_state": _box(self.environment_state)}
-        )
+        return gym.spaces.Dict({"agent_pos": _box(self.agent_pos), "environment_state": _box(self.environment_state)})
 
     def dataset_features(self) -> dict[str, dict]:
         """LeRobotDataset features of the demonstrations (the dual action vector and the label columns)."""
@@ -112,8 +110,7 @@ class Layout:
         """A Markdown table of ``dimensions`` for docstrings: index, name, unit, minimum, maximum, meaning."""
         rows = ["| index | name | unit | min | max | meaning |", "| --- | --- | --- | --- | --- | --- |"]
         rows += [
-            f"| {i} | {d.name} | {d.unit} | {d.low:g} | {d.high:g} | {d.meaning} |"
-            for i, d in enumerate(dimensions)
+            f"| {i} | {d.name} | {d.unit} | {d.low:g} | {d.high:g} | {d.meaning} |" for i, d in enumerate(dimensions)
         ]
         return "\n".join(rows)
 

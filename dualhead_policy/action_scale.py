@@ -33,9 +33,7 @@ class ActionScale(nn.Module):
         self.register_buffer("spread", torch.ones(dim))
 
     @torch.no_grad()
-    def fit(
-        self, stats: Mapping[str, Mapping[str, Any]], *, normalized: list[bool], std_floor: float
-    ) -> ActionScale:
+    def fit(self, stats: Mapping[str, Mapping[str, Any]], *, normalized: list[bool], std_floor: float) -> ActionScale:
         """Set the buffers from a dataset's statistics.
 
         Args:

@@ -87,6 +87,8 @@ class DualheadConfig(PreTrainedConfig):
     token_replacement_prob: float = 0.0
     token_null_prob: float = 0.0
 
+    device: str | None = None
+
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
             "STATE": NormalizationMode.MEAN_STD,
@@ -108,7 +110,7 @@ class DualheadConfig(PreTrainedConfig):
     lr_schedule: str = "cosine"
     lr_warmup_steps: int = 200
 
-    push_to_hub: bool = False  # type: ignore[assignment]  # the base class declares it so
+    push_to_hub: bool = False
 
     def __post_init__(self) -> None:
         if self.device is None:

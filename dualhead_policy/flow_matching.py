@@ -41,9 +41,7 @@ def coupled_source_noise(
     shared = normal(max(dims.values()))
     if beta <= 0:
         return {head: shared[..., :dim] for head, dim in dims.items()}
-    return {
-        head: (1 - beta) ** 0.5 * shared[..., :dim] + beta**0.5 * normal(dim) for head, dim in dims.items()
-    }
+    return {head: (1 - beta) ** 0.5 * shared[..., :dim] + beta**0.5 * normal(dim) for head, dim in dims.items()}
 
 
 def interpolate(source: Tensor, target: Tensor, time: Tensor) -> Tensor:

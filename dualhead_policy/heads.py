@@ -73,7 +73,12 @@ class DualheadNetwork(nn.Module):
 
     def modulation(self, head: str, time: Tensor, context: Tensor) -> Tensor:
         """What ``head``'s layers need to know of time and context; see :class:`VelocityField`."""
-        return self.fields[head].modulation(time, context)
+        return self._field(head).modulation(time, context)
+
+    def _field(self, head: str) -> VelocityField:
+        field = self.fields[head]
+        assert isinstance(field, VelocityField)
+        return field
 
     def velocity(self, head: str, x: Tensor, time: Tensor, modulation: Tensor, spread: Tensor) -> Tensor:
         """v_head(x_t, t, context) for flattened chunks.
@@ -85,7 +90,7 @@ class DualheadNetwork(nn.Module):
             modulation: :meth:`modulation`, broadcastable against ``x``.
             spread: Scale of the normalised data per coordinate (H * d,).
         """
-        field = self.fields[head]
+        field = self._field(head)
         if not self.preconditioned:
             return field(x, modulation)
         skip, scale_out, scale_in = gaussian_preconditioning(time, spread)

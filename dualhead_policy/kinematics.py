@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap, PolarMap
 from torch import Tensor
+
+from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap, PolarMap
 
 PositionMap = Callable[[Tensor], Tensor]
 

@@ -72,9 +72,7 @@ class DualheadPolicy(PreTrainedPolicy):
         if dataset_stats is not None:
             self.fit_action_scale(dataset_stats)
         elif dataset_meta is not None:
-            raise ValueError(
-                "the dataset comes without statistics: expected meta/stats.json; record the dataset again"
-            )
+            raise ValueError("the dataset comes without statistics: expected meta/stats.json; record the dataset again")
         self.tokens = self._make_tokens(dataset_meta)
         self.network = DualheadNetwork(
             sum(config.input_features[key].shape[0] for key in self.observation_keys),
@@ -188,12 +186,10 @@ class DualheadPolicy(PreTrainedPolicy):
         """
         config = self.config
         purpose = "train" if self.training else "validate"
-        generator = keyed_generator(config.seed, int(self.training_step), purpose, device=action.device)
+        generator = keyed_generator(config.seed or 0, int(self.training_step), purpose, device=action.device)
         n = len(action)
         time = torch.rand(n, generator=generator, device=action.device)
-        noise = coupled_source_noise(
-            (n, config.chunk_size), self.head_dims, config.source_noise_beta, generator
-        )
+        noise = coupled_source_noise((n, config.chunk_size), self.head_dims, config.source_noise_beta, generator)
         context = self.network.encoder(observation)
         if self.tokens is not None and token is not None:
             token = self.tokens.corrupt(
@@ -319,9 +315,7 @@ class DualheadPolicy(PreTrainedPolicy):
         n, t = len(encoded), len(codes)
         return torch.cat([encoded.expand(n, t, -1), codes.expand(n, t, -1)], dim=-1)
 
-    def _integrate(
-        self, head: str, noise: Tensor, context: Tensor, token: Tensor | None, num_steps: int
-    ) -> Tensor:
+    def _integrate(self, head: str, noise: Tensor, context: Tensor, token: Tensor | None, num_steps: int) -> Tensor:
         rows = torch.arange(len(noise), device=noise.device)[:, None]
         spread = self._spread(head)
 
@@ -351,6 +345,10 @@ class DualheadPolicy(PreTrainedPolicy):
         if self.tokens is not None and (self._episode_token is None or len(self._episode_token) != n):
             self._episode_token = self.tokens.draw((n, 1), self.config.token_draw, None)
         samples = self.sample(batch, 1, coupling=SamplingCoupling(token=self._episode_token))
+        return self.dual_chunk(samples)
+
+    def dual_chunk(self, samples: HeadSamples) -> Tensor:
+        """The first of every condition's samples as dual action chunks (B, H, D), in physical units."""
         return torch.cat([samples.joint[:, 0], samples.position[:, 0]], dim=-1)
 
     @torch.no_grad()

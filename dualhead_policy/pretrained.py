@@ -58,6 +58,8 @@ def load_policy(path: str | Path, *, device: str = "cpu") -> tuple[DualheadPolic
     with contextlib.redirect_stdout(None):
         policy = DualheadPolicy.from_pretrained(folder, config=config)
         preprocessor, _ = make_pre_post_processors(
-            config, pretrained_path=str(folder), preprocessor_overrides={"device_processor": {"device": device}}
+            config,
+            pretrained_path=str(folder),
+            preprocessor_overrides={"device_processor": {"device": device}},
         )
     return policy, preprocessor

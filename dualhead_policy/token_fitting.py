@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dualhead_envs.dataset_frames import read_split
 from torch import Tensor
 
+from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.tokens import TokenTable
 

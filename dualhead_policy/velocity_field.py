@@ -34,9 +34,7 @@ class ConditionEncoder(nn.Module):
 
     def __init__(self, observation_dim: int, width: int):
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Linear(observation_dim, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU()
-        )
+        self.layers = nn.Sequential(nn.Linear(observation_dim, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
 
     def forward(self, observation: Tensor) -> Tensor:
         return self.layers(observation)
@@ -72,13 +70,15 @@ class VelocityField(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(n_layers - 1))
         self.output = nn.Linear(width, chunk_dim)
         side_dim = 2 * n_frequencies + context_dim
+        self.side: nn.Module
         if conditioning == "concat":
             # W [x, t, context] = W_x x + W_s [t, context]: the second product is shared by all samples of a
             # condition. Both halves start as one dense layer of the concatenated input would.
-            self.side = nn.Linear(side_dim, width, bias=False)
+            side = nn.Linear(side_dim, width, bias=False)
             bound = (chunk_dim + side_dim) ** -0.5
-            for parameter in (self.input.weight, self.input.bias, self.side.weight):
+            for parameter in (self.input.weight, self.input.bias, side.weight):
                 nn.init.uniform_(parameter, -bound, bound)
+            self.side = side
         else:
             self.side = nn.Sequential(
                 nn.Linear(side_dim, FILM_BOTTLENECK),

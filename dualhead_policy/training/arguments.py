@@ -86,14 +86,15 @@ def _command_line(arguments: list[str]) -> Iterator[None]:
 
 
 def _parse() -> TrainPipelineConfig:
-    @parser.wrap()
     def configured(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
         return cfg
 
+    # LeRobot reads the class from the annotation, which is a string in this module.
+    configured.__annotations__["cfg"] = TrainPipelineConfig
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return configured()  # type: ignore[call-arg]  # the decorator supplies cfg
+            return parser.wrap()(configured)()
     except (SystemExit, argparse.ArgumentError, draccus.utils.DecodingError) as error:
         text = complaint.getvalue().strip() or str(error)
         reason = text.splitlines()[-1].removeprefix("dualhead train: error: ")

@@ -57,9 +57,7 @@ def train_runs(runs: Sequence[Run], *, jobs: int, show_progress: bool = True) ->
     ):
         reports = manager.Queue()
         tasks = {run.name: bars.add_task(run.name, total=None, loss="waiting") for run in runs}
-        futures: dict[str, Future[Path]] = {
-            run.name: pool.submit(_train_one, run, threads, reports) for run in runs
-        }
+        futures: dict[str, Future[Path]] = {run.name: pool.submit(_train_one, run, threads, reports) for run in runs}
         while not all(future.done() for future in futures.values()):
             _show(bars, tasks, reports, timeout=REPORT_SECONDS)
         while not reports.empty():

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from dualhead_envs.dataset_frames import read_split
 from lerobot.common.train_utils import load_training_state, should_save_checkpoint
 from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets import LeRobotDatasetMetadata
@@ -17,6 +16,7 @@ from lerobot.optim.factory import make_optimizer_and_scheduler
 from lerobot.policies import make_policy, make_pre_post_processors
 from lerobot.utils.random_utils import set_seed
 
+from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.training.checkpoints import write_checkpoint
@@ -69,9 +69,7 @@ class Training:
             self.step, self.optimizer, self.scheduler = load_training_state(
                 cfg.checkpoint_path, self.optimizer, self.scheduler
             )
-        self.source: WindowSource = RecordedWindows(
-            frames, self.policy, self.processors[0], cfg.batch_size, seed
-        )
+        self.source: WindowSource = RecordedWindows(frames, self.policy, self.processors[0], cfg.batch_size, seed)
         if fresh_paths:
             self.source = self._fresh_paths(frames.sidecar, seed)
 
@@ -106,9 +104,7 @@ class Training:
 
     def save(self) -> Path:
         """Write a checkpoint of the current step; returns its ``pretrained_model`` folder."""
-        return write_checkpoint(
-            self.cfg, self.step, self.policy, self.optimizer, self.scheduler, self.processors
-        )
+        return write_checkpoint(self.cfg, self.step, self.policy, self.optimizer, self.scheduler, self.processors)
 
     def run(self, progress: Progress | None = None) -> Path:
         """Train to the configured number of steps, saving on the way.
@@ -127,13 +123,14 @@ class Training:
         output = Path(cfg.output_dir)
         output.mkdir(parents=True, exist_ok=True)
         log = TrainingLog(output / "training_log.jsonl", self.step)
+        rate = self.policy.config.optimizer_lr
         saved: Path | None = None
         while self.step < cfg.steps:
             loss = self.update(self.source.batch(self.step))
             if loss != loss:
                 raise ValueError(
-                    f"the loss is not a number at step {self.step}: lower policy.optimizer_lr (now "
-                    f"{cfg.policy.optimizer_lr}) and resume from the last checkpoint"  # type: ignore[union-attr]
+                    f"the loss is not a number at step {self.step}: lower policy.optimizer_lr (now {rate}) and "
+                    "start again"
                 )
             log.add(self.step, loss)
             if progress is not None:

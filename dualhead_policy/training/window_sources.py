@@ -7,12 +7,12 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from dualhead_envs.dataset_frames import SplitFrames
-from dualhead_envs.ring.generator import RingGenerator
-from dualhead_envs.ring.maps import REPRESENTATION_MAPS
 from lerobot.datasets.sampler import EpisodeAwareSampler
 from torch import Tensor
 
+from dualhead_envs.dataset_frames import SplitFrames
+from dualhead_envs.ring.generator import RingGenerator
+from dualhead_envs.ring.maps import REPRESENTATION_MAPS
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 
 
@@ -45,9 +45,7 @@ class RecordedWindows:
         seed: Seed of the order.
     """
 
-    def __init__(
-        self, frames: SplitFrames, policy: DualheadPolicy, preprocessor: Any, batch_size: int, seed: int
-    ):
+    def __init__(self, frames: SplitFrames, policy: DualheadPolicy, preprocessor: Any, batch_size: int, seed: int):
         config = policy.config
         device = policy.training_step.device
         ends = np.flatnonzero(np.diff(frames.episode_index, append=-1)) + 1

@@ -10,7 +10,10 @@ import sys
 #: Subcommand -> (module, one line for the overview).
 COMMANDS = {
     "record": ("dualhead_envs.recording.record_command", "record scripted demonstrations as LeRobotDatasets"),
-    "train": ("dualhead_policy.training.train_command", "train policies, many times faster than lerobot-train"),
+    "train": (
+        "dualhead_policy.training.train_command",
+        "train policies, many times faster than lerobot-train",
+    ),
     "evaluate": ("dualhead_eval.evaluate_command", "sample a policy under test conditions into a gate file"),
     "report": ("dualhead_eval.report_command", "turn gate files into tables, figures and verdicts"),
     "demo": ("dualhead_eval.demo_command", "the whole line in minutes: record, train, evaluate, report"),
@@ -30,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
 def run_command(module_name: str, prog: str, arguments: list[str]) -> int:
     """Parse ``arguments`` as a command module defines them, run it and turn user errors into one line."""
     module = importlib.import_module(module_name)
-    parser = argparse.ArgumentParser(prog=prog, description=getattr(module, "DESCRIPTION", None))
+    parser = argparse.ArgumentParser(prog=prog, description=getattr(module, "DESCRIPTION", None), allow_abbrev=False)
     module.add_arguments(parser)
     args, remaining = parser.parse_known_args(arguments)
     passes_on = getattr(args, "takes_remaining", False)

@@ -15,6 +15,7 @@ modes and write the counts to a gate file; or count the predictions in recorded 
 
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --output ring.gate.json
   dualhead evaluate --exact --dataset data/ring/test --output exact.gate.json
+  dualhead evaluate --policy outputs/ring --dataset data/ring/test --record data/rollouts --output loop.gate.json
   dualhead evaluate --rollouts data/rollouts --output rollouts.gate.json
 
 The defaults are the frozen protocol: 1280 pairs a condition, 20 Euler steps.
@@ -37,6 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tau", type=float, nargs="+", default=[], help="further thresholds to count at")
     parser.add_argument("--seed", type=int, default=0, help="seed of the draws (default: 0)")
     parser.add_argument("--overwrite", action="store_true", help="replace the output file if it exists")
+    loop = parser.add_argument_group("closed loop, with --policy")
+    loop.add_argument(
+        "--record",
+        type=Path,
+        metavar="DIR",
+        help="roll the policy out in the dataset's environment,"
+        " record it as a LeRobotDataset in DIR, and count the predictions of every decision",
+    )
+    loop.add_argument("--episodes", type=int, default=50, help="episodes to roll out (default: 50)")
+    loop.add_argument("--samples", type=int, default=2, help="chunks per head and decision (default: 2)")
+    loop.add_argument("--control", choices=["joint", "position"], default="joint", help="the head that drives")
     shared = parser.add_argument_group("what the heads share (default: as the policy was trained)")
     shared.add_argument("--source-noise-beta", type=float, metavar="B", help="1 private noise, 0 shared noise")
     shared.add_argument("--redraw-token", action="store_true", help="give each head a token of its own")
@@ -67,7 +79,9 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.gate import write_gate
     from dualhead_eval.report import render_table
 
-    gate = _rollouts(args) if args.rollouts else _sampled(args)
+    if args.record is not None and not args.policy:
+        raise ValueError("--record rolls out a policy: give --policy too")
+    gate = _rollouts(args) if args.rollouts else _rolled_out(args) if args.record else _sampled(args)
     write_gate(gate, args.output, overwrite=args.overwrite)
 
     from rich.console import Console
@@ -85,19 +99,17 @@ def _label(args: argparse.Namespace) -> str:
 
 
 def _sampled(args: argparse.Namespace) -> Gate:
-    from dualhead_policy.sampling import SamplingCoupling
     from tqdm import tqdm
 
     from dualhead_eval.evaluation import EvaluationProtocol, evaluate_sampler
     from dualhead_eval.evaluation_sources import open_conditions, open_exact_reference, open_policy
+    from dualhead_policy.sampling import SamplingCoupling
 
     if args.dataset is None:
         raise ValueError("--dataset is missing: give the split with the test conditions, e.g. data/ring/test")
     bank = open_conditions(args.dataset, args.conditions)
     if args.exact:
-        source = open_exact_reference(
-            bank, token=args.token, token_replacement_prob=args.token_replacement_prob
-        )
+        source = open_exact_reference(bank, token=args.token, token_replacement_prob=args.token_replacement_prob)
     else:
         source = open_policy(args.policy)
     if source.kinematic_map != bank.kinematic_map:
@@ -110,9 +122,7 @@ def _sampled(args: argparse.Namespace) -> Gate:
         nfes=args.nfe,
         taus=args.tau,
         seed=args.seed,
-        coupling=SamplingCoupling(
-            source_noise_beta=args.source_noise_beta, share_token=not args.redraw_token
-        ),
+        coupling=SamplingCoupling(source_noise_beta=args.source_noise_beta, share_token=not args.redraw_token),
     )
     with tqdm(total=len(bank.pair_ids) * len(args.nfe), unit="condition", desc="sampling") as bar:
         return evaluate_sampler(
@@ -133,3 +143,33 @@ def _rollouts(args: argparse.Namespace) -> Gate:
     from dualhead_eval.rollouts import rollout_gate
 
     return rollout_gate(args.rollouts, taus=args.tau, label=_label(args))
+
+
+def _rolled_out(args: argparse.Namespace) -> Gate:
+    from tqdm import tqdm
+
+    from dualhead_envs.dataset_frames import read_split
+    from dualhead_eval.rollouts import record_rollouts, rollout_gate
+    from dualhead_policy.pretrained import load_policy
+
+    if args.dataset is None:
+        raise ValueError("--dataset is missing: its environment is where the policy is rolled out")
+    sidecar = read_split(args.dataset).sidecar
+    policy, preprocess = load_policy(args.policy)
+    with tqdm(total=args.episodes, unit="episode", desc="rolling out") as bar:
+        outcome = record_rollouts(
+            policy,
+            preprocess,
+            args.record,
+            env_id=sidecar["env_id"],
+            env_kwargs={**sidecar["env_kwargs"], "control": args.control},
+            episodes=args.episodes,
+            samples=args.samples,
+            seed=args.seed,
+            progress=bar.update,
+        )
+    print(
+        f"closed loop, {args.control} head driving: success {outcome['success_rate']:.1%}, "
+        f"collision {outcome['collision_rate']:.1%} of {args.episodes} episodes, recorded in {args.record}"
+    )
+    return rollout_gate(args.record, taus=args.tau, label=_label(args))

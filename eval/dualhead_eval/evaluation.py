@@ -9,12 +9,12 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from dualhead_policy.kinematics import position_map
-from dualhead_policy.sampling import Sampler, SamplingCoupling
 
 from dualhead_eval.counts import joint_table
 from dualhead_eval.gate import Gate
 from dualhead_eval.residual_strata import ResidualStrata, residual_strata
+from dualhead_policy.kinematics import position_map
+from dualhead_policy.sampling import Sampler, SamplingCoupling
 
 #: The frozen protocol (sec:gate): 64 samples in each of 20 draws a condition, 20 Euler steps.
 FROZEN_PAIRS = 64 * 20
@@ -74,8 +74,7 @@ class LabelledPairs:
     ) -> LabelledPairs:
         """Score paths (conditions, pairs, H, d) in metres under conditions (conditions, C)."""
         scores = {
-            head: partition.score(path, condition[:, None])
-            for head, path in zip(HEADS, (joint, position), strict=True)
+            head: partition.score(path, condition[:, None]) for head, path in zip(HEADS, (joint, position), strict=True)
         }
         residual = 1000 * np.linalg.norm(joint - position, axis=-1).mean(axis=-1)
         return cls({h: s[0] for h, s in scores.items()}, {h: s[1] for h, s in scores.items()}, residual)
@@ -102,7 +101,7 @@ def sample_pairs(
     partition: ModePartition,
     protocol: EvaluationProtocol,
     nfe: int,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> LabelledPairs:
     """Sample ``protocol.pairs`` chunks of both heads under every condition and score their modes.
 
@@ -190,9 +189,7 @@ def make_gate(
         provenance={
             **provenance,
             "partition": partition.to_dict(),
-            "versions": {
-                name: version(name) for name in ("lerobot_policy_dualhead", "lerobot", "torch", "numpy")
-            },
+            "versions": {name: version(name) for name in ("lerobot_policy_dualhead", "lerobot", "torch", "numpy")},
         },
         strata=strata,
     )
@@ -209,16 +206,14 @@ def evaluate_sampler(
     *,
     target_probabilities: Sequence[float] | None = None,
     provenance: dict[str, Any] | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Gate:
     """Evaluate a sampler under every condition, for every NFE and threshold of the protocol.
 
     See :func:`sample_pairs` and :func:`make_gate` for the arguments.
     """
     pairs = {
-        nfe: sample_pairs(
-            sampler, preprocess, kinematic_map, observation, partition, protocol, nfe, progress
-        )
+        nfe: sample_pairs(sampler, preprocess, kinematic_map, observation, partition, protocol, nfe, progress)
         for nfe in protocol.nfes
     }
     coupling = protocol.coupling

@@ -10,10 +10,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from dualhead_envs.dataset_frames import SplitFrames, read_split
-from dualhead_policy.sampling import Sampler
 
+from dualhead_envs.dataset_frames import SplitFrames, read_split
 from dualhead_eval.evaluation import ModePartition
+from dualhead_policy.sampling import Sampler
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def open_policy(path: str | Path, *, device: str = "cpu") -> Source:
         ValueError: If it is damaged or of another type.
     """
     import draccus
+
     from dualhead_policy.pretrained import load_policy, policy_folder
 
     folder = policy_folder(path)

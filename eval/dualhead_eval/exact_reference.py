@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
+
 from dualhead_envs.ring import geometry
 from dualhead_envs.ring.generator import RingGenerator, envelope
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap, RepresentationMap
 from dualhead_policy.flow_matching import coupled_source_noise, integrate_euler
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
-from torch import Tensor
 
 #: Radii at which the moments of the polar representation are estimated; linear interpolation in between.
 MOMENT_RADII = 25
@@ -209,9 +210,7 @@ class ExactReference:
         position = unit[:, None] * along[..., None, :] + across
         return position @ matrix.T + outside
 
-    def _integrate_matched(
-        self, noise: Tensor, condition: np.ndarray, log_prior: Tensor, num_steps: int
-    ) -> Tensor:
+    def _integrate_matched(self, noise: Tensor, condition: np.ndarray, log_prior: Tensor, num_steps: int) -> Tensor:
         """Euler integration with each mode moment-matched in head A's space (the polar representation).
 
         The map commutes with rotations about the origin, so one set of moments, at mode angle 0 and the
@@ -251,9 +250,7 @@ def _shrinkage(variance: float, num_steps: int) -> float:
     return factor
 
 
-def _moments_at(
-    representation: RepresentationMap, path_spread: float, radius: np.ndarray
-) -> tuple[Tensor, Tensor]:
+def _moments_at(representation: RepresentationMap, path_spread: float, radius: np.ndarray) -> tuple[Tensor, Tensor]:
     """Mean (B, F) and covariance (B, F, F) of a mode at angle 0 in head A's space, at every radius (B,)."""
     radii, means, covariances = _moment_table(representation.name, path_spread)
     place = np.interp(radius, radii, np.arange(len(radii)))

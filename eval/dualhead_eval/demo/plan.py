@@ -1,0 +1,129 @@
+"""What the demo runs: budgets, datasets, policies, and the rows of its table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Size of a demo.
+
+    Attributes:
+        episodes: Training demonstrations in each dataset.
+        steps: Training steps of each policy, batches of 128.
+        save_freq: Steps between checkpoints.
+        pairs: Sample pairs per test condition for trained policies and the reference.
+    """
+
+    episodes: int
+    steps: int
+    save_freq: int
+    pairs: int
+
+
+@dataclass(frozen=True)
+class PlannedDataset:
+    """A dataset to record: its folder name, environment id and keyword arguments."""
+
+    name: str
+    env_id: str
+    env_kwargs: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class PlannedPolicy:
+    """A policy to train: its folder name, its dataset's name, and flags of ``dualhead train``."""
+
+    name: str
+    dataset: str
+    flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlannedRow:
+    """One line of the story: which policy, sampled how, and what it should show.
+
+    Attributes:
+        name: File name of its gates.
+        title: What the line is, in the table.
+        policy: Name of the trained policy.
+        source_noise_beta: Coupling chosen at sampling: 1 private noise, 0 shared noise.
+        reference: Options of the exact reference, or None where there is none.
+        story: What a newcomer should take from the line.
+    """
+
+    name: str
+    title: str
+    policy: str
+    story: str
+    source_noise_beta: float = 1.0
+    reference: dict[str, Any] | None = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole demo."""
+
+    datasets: tuple[PlannedDataset, ...]
+    policies: tuple[PlannedPolicy, ...]
+    rows: tuple[PlannedRow, ...]
+
+
+RING_BUDGETS = {
+    "smoke": Budget(episodes=10_000, steps=4_000, save_freq=1_000, pairs=256),
+    "full": Budget(episodes=50_000, steps=30_000, save_freq=5_000, pairs=1_280),
+}
+
+RING_PLAN = Plan(
+    datasets=(
+        PlannedDataset("nullspace", "RotatingRing-v2", {"representation": "nullspace"}),
+        PlannedDataset("polar", "RotatingRing-v2", {"representation": "polar"}),
+    ),
+    policies=(
+        PlannedPolicy("nullspace", "nullspace"),
+        PlannedPolicy("polar", "polar"),
+        PlannedPolicy("oracle-token", "nullspace", ("--policy.token=oracle",)),
+        PlannedPolicy("window-token", "nullspace", ("--policy.token=window", "--policy.n_tokens=2")),
+    ),
+    rows=(
+        PlannedRow(
+            "independent",
+            "independent noise",
+            "nullspace",
+            "The floor: each head picks a mode on its own, so they agree exactly as often as chance.",
+        ),
+        PlannedRow(
+            "shared-noise-nullspace",
+            "shared noise, nullspace map",
+            "nullspace",
+            "Anti-coordination: the same network with shared noise; this map turns the noise around, so the "
+            "heads avoid each other's mode.",
+            source_noise_beta=0.0,
+        ),
+        PlannedRow(
+            "shared-noise-polar",
+            "shared noise, polar map",
+            "polar",
+            "Coordination: the same trick under another map makes them agree. What shared noise does depends "
+            "on the representation.",
+            source_noise_beta=0.0,
+        ),
+        PlannedRow(
+            "window-token",
+            "shared k-means token",
+            "window-token",
+            "Towards the corner: a token found without labels, shared by both heads.",
+            reference=None,
+        ),
+        PlannedRow(
+            "oracle-token",
+            "shared oracle token",
+            "oracle-token",
+            "The corner: both heads follow one token that names the mode; they always agree, and both modes "
+            "stay alive.",
+            reference={"token": "oracle"},
+        ),
+    ),
+)

@@ -1,0 +1,240 @@
+"""Recorded rollouts of a two-head policy: LeRobotDatasets with both heads' predictions at every decision.
+
+Beside the frames as executed (observations, dual action, reward), a rollout dataset holds
+
+- ``prediction.joint`` (n * H * d_A,) and ``prediction.position`` (n * H * d,): n >= 2 sampled chunks of each
+head
+  in physical units, flattened, at decision frames (zeros elsewhere);
+- ``prediction.decision`` (1,): whether the policy decided in this frame;
+- ``meta/dualhead.json``: environment, horizon and n.
+
+The keys do not begin with ``action``, which LeRobot would take for an action. Every decision is a condition
+of its own when the predictions are counted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+
+from dualhead_envs.dataset_frames import read_columns
+from dualhead_eval.evaluation import LabelledPairs, make_gate
+from dualhead_eval.gate import Gate
+from dualhead_policy.kinematics import position_map
+from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.representation import RepresentationLayout
+
+FORMAT = "dualhead-rollouts/1"
+OBSERVATIONS = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
+
+
+def record_rollouts(
+    policy: DualheadPolicy,
+    preprocess: Callable[[Any], Any],
+    root: str | Path,
+    *,
+    env_id: str,
+    env_kwargs: dict[str, Any],
+    episodes: int,
+    samples: int = 2,
+    seed: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> dict[str, float]:
+    """Roll a policy out and record what it executed and what both heads predicted.
+
+    At every decision ``samples`` chunks of both heads are drawn, each pair with a token of its own (if the policy
+    has tokens). The first pair follows the token of the episode, and its chunk is executed for
+    ``n_action_steps`` steps; were the others to follow it too, both heads would seem collapsed onto one mode.
+
+    Args:
+        policy: The policy, in evaluation mode.
+        preprocess: Its preprocessor.
+        root: Folder of the dataset; must not exist.
+        env_id: Registered id, for example ``"RotatingRing-v2"``.
+        env_kwargs: Its keyword arguments, among them ``control``: which head drives.
+        episodes: Episodes to record; episode i is reset with seed ``seed + i``.
+        samples: Chunks per head and decision, at least 2 for within-decision coordination.
+        seed: Seed of environment and draws.
+        progress: Called with 1 after every episode.
+
+    Returns:
+        ``success_rate`` and ``collision_rate`` over the episodes.
+
+    Raises:
+        FileExistsError: If ``root`` exists.
+        ValueError: If ``samples`` or ``episodes`` is below 1, or the policy has another layout.
+    """
+    root = Path(root)
+    if root.exists():
+        raise FileExistsError(f"{root} already exists: choose another folder, or delete it first")
+    if samples < 1 or episodes < 1:
+        raise ValueError(f"samples={samples} and episodes={episodes} must be at least 1")
+    env = gym.make(f"dualhead_envs:{env_id}", **env_kwargs)
+    layout = env.unwrapped.layout  # type: ignore[attr-defined]
+    expected = RepresentationLayout.from_names(layout.action_names)
+    policy.representation.require_same(expected, owner="the policy", given=f"environment {env_id}")
+    executed = layout.control_indices(env_kwargs["control"])
+    horizon = policy.config.chunk_size
+    features = {
+        key: feature for key, feature in layout.dataset_features().items() if key.startswith(("observation.", "action"))
+    }
+    for head, dim in policy.head_dims.items():
+        features[f"prediction.{head}"] = {
+            "dtype": "float32",
+            "shape": (samples * horizon * dim,),
+            "names": None,
+        }
+    features["prediction.decision"] = {"dtype": "bool", "shape": (1,), "names": None}
+    features["next.reward"] = {"dtype": "float32", "shape": (1,), "names": None}
+    features["next.success"] = {"dtype": "bool", "shape": (1,), "names": None}
+    dataset = _create_dataset(root, layout.fps, features)
+    outcomes = []
+    for episode in range(episodes):
+        generator = torch.Generator().manual_seed(seed + episode)
+        outcomes.append(_roll_out(policy, preprocess, env, dataset, executed, samples, seed + episode, generator))
+        dataset.save_episode()
+        if progress is not None:
+            progress(1)
+    dataset.finalize()
+    sidecar = {
+        "format": FORMAT,
+        "env_id": env_id,
+        "env_kwargs": env_kwargs,
+        "layout": layout.name,
+        "horizon": horizon,
+        "samples": samples,
+        "num_inference_steps": policy.config.num_inference_steps,
+        "seed": seed,
+        "partition": env.unwrapped.mode_partition.to_dict(),  # type: ignore[attr-defined]
+    }
+    staging = Path(dataset.root)
+    (staging / "meta" / "dualhead.json").write_text(json.dumps(sidecar, indent=2))
+    staging.rename(root)
+    env.close()
+    success, collision = np.mean(outcomes, axis=0)
+    return {"success_rate": float(success), "collision_rate": float(collision)}
+
+
+def _create_dataset(root: Path, fps: int, features: dict[str, dict]) -> Any:
+    import shutil
+
+    from lerobot.datasets import LeRobotDataset
+
+    staging = root.with_name(f".{root.name}.partial")
+    shutil.rmtree(staging, ignore_errors=True)
+    return LeRobotDataset.create(
+        f"local/{root.name}", fps=fps, features=features, root=staging, use_videos=False, video_backend="pyav"
+    )
+
+
+def _roll_out(
+    policy: DualheadPolicy,
+    preprocess: Callable[[Any], Any],
+    env: gym.Env,
+    dataset: Any,
+    executed: np.ndarray,
+    samples: int,
+    seed: int,
+    generator: torch.Generator,
+) -> tuple[bool, bool]:
+    from dualhead_policy.sampling import SamplingCoupling
+
+    observation, info = env.reset(seed=seed)
+    token = None
+    if policy.tokens is not None:
+        token = policy.tokens.draw((1, samples), policy.config.token_draw, generator)
+    blank = {
+        f"prediction.{head}": np.zeros(samples * policy.config.chunk_size * dim, dtype=np.float32)
+        for head, dim in policy.head_dims.items()
+    }
+    chunk: list[np.ndarray] = []
+    predictions = blank
+    done = False
+    while not done:
+        decision = not chunk
+        if decision:
+            if token is not None:
+                assert policy.tokens is not None
+                others = policy.tokens.draw((1, samples - 1), policy.config.token_draw, generator)
+                token = torch.cat([token[:, :1], others], dim=1)
+            raw = {OBSERVATIONS[key]: torch.from_numpy(observation[key])[None] for key in OBSERVATIONS}
+            drawn = policy.sample(preprocess(raw), samples, coupling=SamplingCoupling(token=token), generator=generator)
+            heads = {"joint": drawn.joint[0].cpu().numpy(), "position": drawn.position[0].cpu().numpy()}
+            predictions = {f"prediction.{head}": value.ravel() for head, value in heads.items()}
+            chunk = list(policy.dual_chunk(drawn)[0, : policy.config.n_action_steps].cpu().numpy())
+        action = chunk.pop(0)
+        after, reward, terminated, truncated, info = env.step(action[executed])
+        frame = {OBSERVATIONS[key]: observation[key] for key in OBSERVATIONS}
+        dataset.add_frame(
+            {
+                **frame,
+                "action": action,
+                **(predictions if decision else blank),
+                "prediction.decision": np.array([decision]),
+                "next.reward": np.array([reward], dtype=np.float32),
+                "next.success": np.array([bool(info["is_success"])]),
+                "task": str(env.unwrapped.task_description),  # type: ignore[attr-defined]
+            }
+        )
+        observation, done = after, terminated or truncated
+    return bool(info["is_success"]), bool(info["collision"])
+
+
+def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | None = None) -> Gate:
+    """Count the predictions of a rollout dataset: every decision is a condition of its own.
+
+    Raises:
+        FileNotFoundError: If there is no dataset.
+        ValueError: If it holds no predictions of both heads.
+    """
+    root = Path(root)
+    info_path, sidecar_path = root / "meta" / "info.json", root / "meta" / "dualhead.json"
+    if not info_path.is_file():
+        raise FileNotFoundError(f"{root} is not a LeRobotDataset (no meta/info.json): give a rollout dataset")
+    info = json.loads(info_path.read_text())
+    sidecar = json.loads(sidecar_path.read_text()) if sidecar_path.is_file() else {}
+    keys = ["prediction.joint", "prediction.position", "prediction.decision"]
+    missing = [key for key in keys if key not in info["features"]]
+    if missing or sidecar.get("format") != FORMAT:
+        raise ValueError(
+            f"{root} is not a dataset of recorded rollouts (lacks "
+            f"{missing or FORMAT + ' in meta/dualhead.json'}): "
+            "record one with `dualhead evaluate --policy ... --record DIR`"
+        )
+    columns = read_columns(root, info, [*keys, "observation.environment_state", "episode_index"])
+    decision = columns["prediction.decision"].reshape(-1).astype(bool)
+    if not decision.any():
+        raise ValueError(f"{root} holds no decision: expected prediction.decision to be true in some frames")
+    n, horizon = sidecar["samples"], sidecar["horizon"]
+
+    def chunks(key: str) -> np.ndarray:
+        return columns[key][decision].reshape(int(decision.sum()), n, horizon, -1)
+
+    env = gym.make(f"dualhead_envs:{sidecar['env_id']}", **sidecar["env_kwargs"])
+    partition = env.unwrapped.mode_partition  # type: ignore[attr-defined]
+    env.close()
+    condition = columns["observation.environment_state"][decision]
+    joint = torch.from_numpy(chunks("prediction.joint")).double()
+    pairs = LabelledPairs.from_paths(
+        position_map(sidecar["layout"])(joint).numpy(),
+        chunks("prediction.position").astype(np.float64),
+        condition,
+        partition,
+    )
+    nfe = sidecar["num_inference_steps"]
+    return make_gate(
+        {nfe: pairs},
+        reference_nfe=nfe,
+        taus=taus,
+        conditions=condition,
+        pair_ids=columns["episode_index"][decision],
+        partition=partition,
+        target_probabilities=None,
+        provenance={"label": label or root.name, "method": "recorded rollouts", "rollouts": sidecar},
+    )
