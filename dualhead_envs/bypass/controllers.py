@@ -7,9 +7,10 @@ record (the measured state one step later).
 ``position``  grip site (3, m, world); the rotation stays what it was at the start of the episode.
 ``pose``      grip site (3, m, world) and its rotation (6, the first two columns of the matrix).
 
-Position and pose use robosuite's operational-space law. Without feed-forward the goal jumps to each new target, as
-in robosuite, and the hand lags by about 2 / sqrt(kp) s. With feed-forward the goal travels from the previous target
-to the new one at constant velocity, and the law's damping acts on the velocity relative to the goal.
+With feed-forward the goal travels from the previous target to the new one at constant velocity, and damping acts on
+the velocity relative to the goal's. Without, the goal jumps to each new target, as in robosuite, and the motion lags
+by about 2 / sqrt(kp) s. Position and pose use robosuite's operational-space law: without feed-forward they are its
+default controller (gain 150, uncoupled), with feed-forward its stiffest (gain 300, coupled).
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ import numpy as np
 
 from dualhead_envs.bypass.operational_space import operational_space_torque, rotate
 from dualhead_envs.bypass.scene import SceneForm
-from dualhead_envs.bypass.simulation import CONTROL_PERIOD, JOINTS, SUBSTEPS, PandaSimulation
+from dualhead_envs.bypass.simulation import CONTROL_PERIOD, JOINTS, SUBSTEPS, TIMESTEP, PandaSimulation
 
-#: robosuite's default gain (1/s^2) at critical damping.
-STIFFNESS = 150.0
+#: Gain kp (1/s^2) at critical damping: robosuite's default, and what it is with feed-forward.
+ROBOSUITE_STIFFNESS, TRACKING_STIFFNESS = 150.0, 300.0
 #: A target further away than this speed (m/s) can reach in one step is a new goal, not a moving one.
 FASTEST_GOAL = 1.5
-#: The same for rotations (rad/s).
-FASTEST_TURN = 6.0
+#: The same for the hand's rotation and for a joint (rad/s).
+FASTEST_TURN, FASTEST_JOINT = 6.0, 6.0
 
 
 class Control(Protocol):
@@ -50,32 +51,54 @@ class Control(Protocol):
 
 
 class JointControl:
-    """Joint targets (7, rad) and the gripper's command, by MuJoCo's own position actuators."""
+    """Joint targets (7, rad) and the gripper's command, by MuJoCo's own position actuators.
+
+    An actuator's torque is ``kp (u - q) - kv dq``. Feed-forward commands ``u = goal + kv / kp * dgoal/dt``, which
+    turns the damping into one on the velocity relative to the goal's.
+
+    Args:
+        feed_forward: Whether the goal travels from target to target (see the module) or jumps.
+    """
 
     form: SceneForm = "servo"
 
+    def __init__(self, *, feed_forward: bool) -> None:
+        self.feed_forward = feed_forward
+        self._goal = np.zeros(JOINTS)
+
     def start(self, simulation: PandaSimulation) -> None:
         """Hold the present angles."""
-        simulation.data.ctrl[:JOINTS] = simulation.joints
+        self._goal = simulation.joints.copy()
 
     def step(self, simulation: PandaSimulation, action: np.ndarray) -> None:
         """Execute ``action`` (8,)."""
         model, data, touch = simulation.model, simulation.data, simulation.touch_force
-        data.ctrl[:JOINTS] = action[:JOINTS]
-        command = float(action[JOINTS])
+        target, command = action[:JOINTS], float(action[JOINTS])
+        control = data.ctrl[:JOINTS]
+        travel = (target - self._goal) / SUBSTEPS
+        moves = self.feed_forward and np.abs(travel).max() <= FASTEST_JOINT * TIMESTEP
+        if moves:
+            lead = -model.actuator_biasprm[:JOINTS, 2] / model.actuator_gainprm[:JOINTS, 0]
+            control[:] = self._goal + lead / TIMESTEP * travel
+        else:
+            control[:] = target
         for _ in range(SUBSTEPS):
+            if moves:
+                control += travel
             simulation.move_gripper(command)
             mujoco.mj_step(model, data)
             if touch[0] > 0.0:
                 simulation.touched = True
         simulation.update_kinematics()
+        self._goal = target.copy()
 
     def memory(self) -> np.ndarray:
-        """Nothing: the actuators are memoryless."""
-        return np.empty(0)
+        """The last target (7)."""
+        return self._goal.copy()
 
     def recall(self, memory: np.ndarray) -> None:
-        """Nothing to recall."""
+        """Return to a memory."""
+        self._goal = memory.copy()
 
 
 class OperationalSpaceControl:
@@ -84,15 +107,14 @@ class OperationalSpaceControl:
     Args:
         with_rotation: Whether the action holds a rotation (6) after the position (3); else the start's is held.
         feed_forward: Whether the goal travels from target to target (see the module) or jumps, as in robosuite.
-        stiffness: The law's gain kp (1/s^2); damping is critical.
     """
 
     form: SceneForm = "torque"
 
-    def __init__(self, *, with_rotation: bool, feed_forward: bool, stiffness: float = STIFFNESS) -> None:
+    def __init__(self, *, with_rotation: bool, feed_forward: bool) -> None:
         self.with_rotation = with_rotation
         self.feed_forward = feed_forward
-        self._stiffness = np.full(6, stiffness)
+        self._stiffness = np.full(6, TRACKING_STIFFNESS if feed_forward else ROBOSUITE_STIFFNESS)
         self._damping = 2.0 * np.sqrt(self._stiffness)
         self._posture = np.zeros(JOINTS)
         self._goal_position = np.zeros(3)
@@ -123,16 +145,16 @@ class OperationalSpaceControl:
         goal_position, goal_rotation = position, rotation
         for substep in range(SUBSTEPS):
             if velocity.any():
-                remaining = (SUBSTEPS - 1 - substep) * (CONTROL_PERIOD / SUBSTEPS)
-                goal_position = position - remaining * velocity[:3]
-                goal_rotation = rotate(-remaining * velocity[3:], rotation)
+                time_left = (SUBSTEPS - 1 - substep) * TIMESTEP
+                goal_position = position - time_left * velocity[:3]
+                goal_rotation = rotate(-time_left * velocity[3:], rotation)
             mujoco.mj_step1(model, data)
             mujoco.mj_jacSite(model, data, jacobian_position, jacobian_rotation, site)
             mujoco.mj_fullM(model, mass, inertia)
             operational_space_torque(
                 mass, jacobian_position, jacobian_rotation, bias, qpos, qvel, site_position, site_rotation,
                 goal_position, goal_rotation, velocity, self._posture, self._stiffness, self._damping,
-                limit, torque,
+                limit, self.feed_forward, torque,
             )  # fmt: skip
             simulation.move_gripper(gripper)
             mujoco.mj_step2(model, data)
@@ -196,5 +218,5 @@ def rotation_vector(rotation: np.ndarray) -> np.ndarray:
 def make_control(control: str, *, feed_forward: bool) -> Control:
     """The control of that name: ``"joint"``, ``"position"`` or ``"pose"`` (names checked by the layout)."""
     if control == "joint":
-        return JointControl()
+        return JointControl(feed_forward=feed_forward)
     return OperationalSpaceControl(with_rotation=control == "pose", feed_forward=feed_forward)

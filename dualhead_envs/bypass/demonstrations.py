@@ -70,15 +70,20 @@ class Pair:
 
 
 def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
-    """Both modes from the initial state of ``seed``; ``env`` needs ``control="pose", feed_forward=False``."""
+    """Both modes from the initial state of ``seed``; ``env`` needs ``control="pose"``."""
     observation, _ = env.reset(seed=seed)
     initial = env.initial_state
     amplitude = float(env.np_random.normal(AMPLITUDE, AMPLITUDE_DEVIATION))
     start_rotation = env.simulation.rotation.copy()
     start_position = env.simulation.position.copy()
     shared = Demonstration([observation["agent_pos"]], [observation["environment_state"]])
-    legs = grasp_and_lift(initial)
-    _execute(env, follow(legs, start_position, 0.0), start_rotation, shared)
+    shared_legs = grasp_and_lift(initial)
+    commands = [
+        follow([*shared_legs, *pass_and_release(env.bypass, initial, mode, amplitude)], start_position)
+        for mode in (0, 1)
+    ]
+    branch_step = sum(leg.steps + leg.hold for leg in shared_legs)
+    _execute(env, commands[0][:branch_step], start_rotation, shared)
     branch = env.state()
 
     demonstrations = []
@@ -87,11 +92,9 @@ def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
         demonstration = Demonstration(
             list(shared.agent_pos), list(shared.environment_state), list(shared.gripper)
         )
-        route = pass_and_release(env.bypass, initial, mode, amplitude)
-        commands = follow(route, np.asarray(legs[-1].position), 0.0)
-        _execute(env, commands, start_rotation, demonstration, measure_clearance=True)
+        _execute(env, commands[mode][branch_step:], start_rotation, demonstration, measure_clearance=True)
         apex = route_apex(env.bypass, initial, mode, amplitude)
-        offsets = demonstration.positions()[len(shared.gripper) :, 1:] - apex[1:3]
+        offsets = demonstration.positions()[branch_step:, 1:] - apex[1:3]
         demonstration.apex_error = float(np.linalg.norm(offsets, axis=1).min())
         demonstrations.append(demonstration)
     first, second = demonstrations

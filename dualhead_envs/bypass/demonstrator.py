@@ -1,8 +1,8 @@
 """The scripted expert: grasp, lift, go past the obstacle by the given mode, drop at the goal.
 
-It commands absolute poses to robosuite's operational-space law without feed-forward, along minimum-jerk segments;
-what a policy learns from is not the commands but the measured states. Both demonstrations of a pair share everything
-up to the branch, which is the lift pose: conditions differ there, because the cube's do.
+It commands absolute poses along minimum-jerk segments; what a policy learns from is not the commands but the measured
+states. Both demonstrations of a pair share everything up to the branch, which is the lift pose: conditions differ
+there, because the cube's do.
 
 Lengths are in control steps (20 Hz), places in metres in the world frame, yaw in rad from the start's.
 """
@@ -14,17 +14,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dualhead_envs.bypass.controllers import ROBOSUITE_STIFFNESS
 from dualhead_envs.bypass.environment import InitialState
+from dualhead_envs.bypass.simulation import CONTROL_PERIOD
 from dualhead_envs.bypass.task import ROUTE_CENTER, ROUTE_FLATTENING, ROUTE_YAW, BypassTask
 
 OPEN, CLOSED = -1.0, 1.0
 #: Lateral amplitude of v2's routes (m): mean and standard deviation over pairs. The mean sets the paper's gap of
 #: 143.7 mm within the window, the deviation its spread.
-AMPLITUDE, AMPLITUDE_DEVIATION = 0.1645, 0.0008
+AMPLITUDE, AMPLITUDE_DEVIATION = 0.1695, 0.0008
 
 _ABOVE_CUBE, _AT_CUBE, _LIFTED = 0.9215, 0.8215, 0.955
-_OUT_X, _PAST_X = -0.10, 0.245
-_RELEASE_X, _RETURN_Z, _RELEASE_Z = 0.24, 0.92, 0.90
+_OUT_X = -0.10
+#: Back in the middle, above the obstacle's top; the hand, 204 mm wide along x, goes down further out.
+_CARRY_Z = 1.04
+_BEHIND = (0.205, 0.0, 1.04)
+_ABOVE_RELEASE = (0.226, 0.0, 1.005)
+_RELEASE = (0.226, 0.0, 0.930)
+#: A vertical hand reaches 0.80 m from the base's axis at x = -0.56. There the arm is stretched, and one that arrives
+#: with speed swings through to its elbow's limit (measured): targets stay within 0.765 m, but for the last, slow legs.
+_BASE_X, _REACH = -0.56, 0.765
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,9 @@ class Commands:
     yaws: np.ndarray
     gripper: np.ndarray
 
+    def __getitem__(self, steps: slice) -> Commands:
+        return Commands(self.positions[steps], self.yaws[steps], self.gripper[steps])
+
 
 def minimum_jerk(steps: int) -> np.ndarray:
     """Fractions (steps,) of a segment that starts and ends at rest: 10 s^3 - 15 s^4 + 6 s^5, s = 1/steps .. 1."""
@@ -53,17 +65,37 @@ def minimum_jerk(steps: int) -> np.ndarray:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
-def follow(legs: Sequence[Leg], position: np.ndarray, yaw: float) -> Commands:
-    """The commands of ``legs``, one after the other, from ``position`` (3,) and ``yaw``."""
-    positions, yaws, gripper = [], [], []
+def follow(legs: Sequence[Leg], position: np.ndarray) -> Commands:
+    """The commands of ``legs``, one after the other, from rest at ``position`` (3,) and yaw 0, made smooth."""
+    place = np.append(position, 0.0)
+    places, gripper = [], []
     for leg in legs:
-        share = np.concatenate([minimum_jerk(leg.steps), np.ones(leg.hold)])
-        target = np.asarray(leg.position)
-        positions.append(position + share[:, None] * (target - position))
-        yaws.append(yaw + share * (leg.yaw - yaw))
+        share = np.concatenate([minimum_jerk(leg.steps), np.ones(leg.hold)])[:, None]
+        target = np.append(leg.position, leg.yaw)
+        places.append(place + share * (target - place))
         gripper.append(np.full(len(share), leg.gripper))
-        position, yaw = target, leg.yaw
-    return Commands(np.concatenate(positions), np.concatenate(yaws), np.concatenate(gripper))
+        place = target
+    smooth = critically_damped(np.concatenate(places), np.append(position, 0.0))
+    return Commands(smooth[:, :3], smooth[:, 3], np.concatenate(gripper))
+
+
+def critically_damped(goals: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """A point that is drawn to each of ``goals`` (T, d) for one control step, at the end of that step.
+
+    It obeys x'' = w^2 (goal - x) - 2 w x' from rest at ``start`` (d,), integrated exactly. This is how a hand under
+    robosuite's default gain follows jumping goals; commanded as a path, it rounds off the corners between legs.
+    """
+    w, dt = np.sqrt(ROBOSUITE_STIFFNESS), CONTROL_PERIOD
+    decay = np.exp(-w * dt)
+    point, velocity = start, np.zeros_like(start)
+    path = []
+    for goal in goals:
+        offset = point - goal
+        slope = velocity + w * offset
+        point = goal + (offset + slope * dt) * decay
+        velocity = (slope - w * (offset + slope * dt)) * decay
+        path.append(point)
+    return np.array(path)
 
 
 def grasp_and_lift(initial: InitialState) -> list[Leg]:
@@ -93,13 +125,16 @@ def route_apex(task: BypassTask, initial: InitialState, mode: int, amplitude: fl
 
 
 def pass_and_release(task: BypassTask, initial: InitialState, mode: int, amplitude: float) -> list[Leg]:
-    """From the lift pose past the obstacle by ``mode``, back to the middle, down, and let go."""
+    """From the lift pose past the obstacle by ``mode``, behind it, back to the middle, down, and let go."""
     _, y, z, yaw = route_apex(task, initial, mode, amplitude)
-    steps, hold = (13, 0) if task.route_radius is None else (7, 8)
+    steps, hold = (14, 0) if task.route_radius is None else (7, 8)
+    legs = [Leg((_OUT_X, y, z), yaw, steps, hold, CLOSED)]
+    beside = min(_BEHIND[0], _BASE_X + float(np.sqrt(_REACH**2 - y**2)))
+    legs.append(Leg((beside, y, max(z, _CARRY_Z)), yaw, 24, 2, CLOSED))
     return [
-        Leg((_OUT_X, y, z), yaw, steps, hold, CLOSED),
-        Leg((_PAST_X, y, z), yaw, 24, 4, CLOSED),
-        Leg((_RELEASE_X, 0.0, _RETURN_Z), 0.0, 22, 0, CLOSED),
-        Leg((_RELEASE_X, 0.0, _RELEASE_Z), 0.0, 16, 10, CLOSED),
-        Leg((_RELEASE_X, 0.0, _RELEASE_Z), 0.0, 0, 20, OPEN),
+        *legs,
+        Leg(_BEHIND, 0.0, 20, 0, CLOSED),
+        Leg(_ABOVE_RELEASE, 0.0, 12, 0, CLOSED),
+        Leg(_RELEASE, 0.0, 12, 6, CLOSED),
+        Leg(_RELEASE, 0.0, 0, 24, OPEN),
     ]

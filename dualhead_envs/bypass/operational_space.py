@@ -1,10 +1,15 @@
 """robosuite's operational-space law (Khatib 1987), compiled, for the Panda's seven joints.
 
-    tau = J^T [Lambda_p (kp dx + kd dv) ; Lambda_r (kp dr + kd dw)] + bias + N^T M (10 (q_0 - q) - 2 sqrt(10) dq)
+    tau = J^T F + bias + N^T M (10 (q_0 - q) - 2 sqrt(10) dq)
+    F = Lambda (kp dx + kd dv)                                      coupled
+    F = [Lambda_p (kp dx_p + kd dv_p) ; Lambda_r (kp dx_r + kd dv_r)]   uncoupled
 
-with the position and rotation parts uncoupled and N the projector onto J's null space, as in robosuite 1.4.1's
-``OperationalSpaceController`` (``uncouple_pos_ori=True``). The difference: dv and dw hold the goal's velocity, which
-is zero in robosuite's law and the feed-forward in ours.
+with N the projector onto J's null space, as in robosuite 1.4.1's ``OperationalSpaceController``, whose option
+``uncouple_pos_ori`` chooses between the two (uncoupled is its default). The difference: dv is the velocity relative to
+the goal's, which is zero in robosuite's law and the feed-forward in ours.
+
+Uncoupled is the softer one: Lambda_p takes the hand for as light as it is when its wrist may give way, and pushes it
+with a force that is too small when the rotation is held as well.
 """
 
 from __future__ import annotations
@@ -71,6 +76,7 @@ def operational_space_torque(
     stiffness: np.ndarray,
     damping: np.ndarray,
     limit: np.ndarray,
+    coupled: bool,
     torque: np.ndarray,
 ) -> None:
     """Write the arm's torque (7,) in N m, clipped to +-``limit``, into ``torque``.
@@ -86,6 +92,7 @@ def operational_space_torque(
         posture: Joint angles (7,) that the null space is drawn to.
         stiffness, damping: Gains (6,).
         limit: Largest torque (7,).
+        coupled: Which of the two forces.
         torque: Result.
     """
     inertia = np.ascontiguousarray(mass[:JOINTS, :JOINTS])
@@ -111,13 +118,17 @@ def operational_space_torque(
     acceleration += damping * (goal_velocity - twist)
 
     compliance = jacobian @ _inverse(inertia) @ jacobian.T
+    inverse_compliance = _inverse(compliance)
     wrench = np.empty(6)
-    wrench[:3] = _inverse(np.ascontiguousarray(compliance[:3, :3])) @ acceleration[:3]
-    wrench[3:] = _inverse(np.ascontiguousarray(compliance[3:, 3:])) @ acceleration[3:]
+    if coupled:
+        wrench[:] = inverse_compliance @ acceleration
+    else:
+        wrench[:3] = _inverse(np.ascontiguousarray(compliance[:3, :3])) @ acceleration[:3]
+        wrench[3:] = _inverse(np.ascontiguousarray(compliance[3:, 3:])) @ acceleration[3:]
 
     # N^T M a = M a - J^T Lambda J a, because N = I - M^-1 J^T Lambda J.
     pull = POSTURE_STIFFNESS * (posture - joints[:JOINTS]) - 2.0 * np.sqrt(POSTURE_STIFFNESS) * joint_velocities
-    wrench -= _inverse(compliance) @ (jacobian @ pull)
+    wrench -= inverse_compliance @ (jacobian @ pull)
     result = jacobian.T @ wrench + inertia @ pull
     for i in range(JOINTS):
         torque[i] = min(max(result[i] + bias[i], -limit[i]), limit[i])

@@ -27,8 +27,8 @@ OBSTACLE_TOUCH = "obstacle_touch"
 
 #: Stiffness of the joint servos (N m/rad). Damping is critical for a joint's own inertia in `SERVO_INERTIA`.
 SERVO_STIFFNESS = (3600.0, 3600.0, 3600.0, 3600.0, 1500.0, 900.0, 450.0)
-#: Armature plus the mean inertia that the joint carries (kg m^2).
-SERVO_INERTIA = (6.0, 3.6, 2.2, 1.7, 1.05, 0.87, 0.72)
+#: What a joint carries at the start, its armature included (kg m^2).
+SERVO_INERTIA = (7.4, 5.0, 3.4, 2.8, 1.5, 1.2, 0.9)
 
 
 def _text(values: tuple[float, ...] | list[float]) -> str:

@@ -1,0 +1,154 @@
+"""The geometry card: what a recording's two modes look like, beside what the paper says of its own.
+
+All lengths are in millimetres. The window is the 16 states after the branch point; per pair, the gap is the mean
+over the window of the distance between the two demonstrations at the same step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dualhead_envs.recording.episode import Episode
+
+HORIZON = 16
+FORMAT = "dualhead-card/1"
+#: Columns of the dual action vector (see :mod:`dualhead_envs.bypass.layout`).
+JOINTS, POSITION, ROTATION = slice(0, 7), slice(7, 10), slice(10, 16)
+
+#: What the paper reports of its own data (sec:envs, app:prereg).
+PAPER: dict[str, dict[str, float]] = {
+    "BimodalBypass-v2": {
+        "mode_gap_mean_mm": 143.68, "mode_gap_sd_mm": 0.66, "mode_gap_cv": 0.0046, "nonlateral_gap_mean_mm": 0.77,
+        "endpoint_gap_max_mm": 0.25, "single_feature_auroc": 1.0,
+    },
+    "RotatingBypass-v3": {
+        "mode_gap_mean_mm": 162.43, "mode_gap_sd_mm": 16.50, "mode_gap_cv": 0.1016, "apex_error_mean_mm": 4.27,
+        "apex_error_max_mm": 6.50, "clearance_min_mm": 28.5, "rejections": 0, "separation_angle_min_deg": -33.8,
+        "separation_angle_max_deg": 33.6, "separation_angle_sd_deg": 19.2, "lateral_share_min": 0.831,
+        "lateral_share_mean": 0.945, "single_feature_auroc": 0.5586,
+    },
+}  # fmt: skip
+
+#: What each row of the card means, in the order in which they are shown.
+MEANINGS = {
+    "pairs": "pairs kept (both modes succeeded)",
+    "rejections": "initial states given up because a mode failed",
+    "frames": "frames in all",
+    "mode_gap_mean_mm": "distance between the modes in the window, mean over pairs",
+    "mode_gap_sd_mm": "... its standard deviation over pairs",
+    "mode_gap_cv": "... and the ratio of the two",
+    "nonlateral_gap_mean_mm": "part of that distance that is not along y",
+    "separation_angle_min_deg": "direction of the separation, from the lateral axis, smallest",
+    "separation_angle_max_deg": "... largest",
+    "separation_angle_sd_deg": "... its standard deviation",
+    "lateral_share_min": "share of the separation that is along y, smallest",
+    "lateral_share_mean": "... its mean",
+    "endpoint_gap_max_mm": "distance between the two last states, largest",
+    "apex_error_mean_mm": "distance of the path from the commanded apex, mean",
+    "apex_error_max_mm": "... largest",
+    "clearance_min_mm": "distance of anything that moves from the obstacle, smallest",
+    "single_feature_auroc": "best AUROC of one scalar of the window for the mode (v3: for the generator's A or B)",
+}
+
+
+def geometry_card(env_id: str, pairs: Sequence[tuple[Episode, Episode]], rejections: int) -> dict[str, Any]:
+    """The card of ``pairs`` (mode 0, mode 1): measured values, the paper's, and what they mean."""
+    gaps = np.array([_window(a)[:, POSITION] - _window(b)[:, POSITION] for a, b in pairs]) * 1e3
+    distance = np.linalg.norm(gaps, axis=2).mean(axis=1)
+    separation = gaps.mean(axis=1)
+    # An unordered pair has a separation axis, not a direction: it is turned to point to +y.
+    angle = np.degrees(np.arctan(separation[:, 2] / separation[:, 1]))
+    share = np.abs(separation[:, 1]) / np.linalg.norm(separation, axis=1)
+    ends = np.array([a.action[-1, POSITION] - b.action[-1, POSITION] for a, b in pairs]) * 1e3
+    apex = np.array([e.extra["apex_error"] for pair in pairs for e in pair]) * 1e3
+    clearance = np.array([e.extra["clearance"] for pair in pairs for e in pair]) * 1e3
+    feature, auroc = _best_feature(pairs)
+    measured = {
+        "pairs": len(pairs),
+        "rejections": rejections,
+        "frames": sum(len(episode) for pair in pairs for episode in pair),
+        "mode_gap_mean_mm": float(distance.mean()),
+        "mode_gap_sd_mm": float(distance.std(ddof=min(1, len(pairs) - 1))),
+        "nonlateral_gap_mean_mm": float(np.linalg.norm(gaps[..., [0, 2]], axis=2).mean()),
+        "separation_angle_min_deg": float(angle.min()),
+        "separation_angle_max_deg": float(angle.max()),
+        "separation_angle_sd_deg": float(angle.std()),
+        "lateral_share_min": float(share.min()),
+        "lateral_share_mean": float(share.mean()),
+        "endpoint_gap_max_mm": float(np.linalg.norm(ends, axis=1).max()),
+        "apex_error_mean_mm": float(apex.mean()),
+        "apex_error_max_mm": float(apex.max()),
+        "clearance_min_mm": float(clearance.min()),
+        "single_feature_auroc": auroc,
+    }
+    measured["mode_gap_cv"] = measured["mode_gap_sd_mm"] / measured["mode_gap_mean_mm"]
+    return {
+        "format": FORMAT,
+        "env_id": env_id,
+        "horizon": HORIZON,
+        "measured": {key: measured[key] for key in MEANINGS},
+        "paper": PAPER[env_id],
+        "single_feature": feature,
+        "meanings": MEANINGS,
+    }
+
+
+def card_rows(card: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """The card as rows of text: quantity, measured, paper, meaning."""
+    return [
+        (key, _number(value), _number(card["paper"].get(key)), card["meanings"].get(key, ""))
+        for key, value in card["measured"].items()
+    ]
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, int) or value == int(value):
+        return str(int(value))
+    return f"{value:.4f}" if abs(value) < 1.0 else f"{value:.2f}"
+
+
+def _window(episode: Episode) -> np.ndarray:
+    """The 16 dual actions (16, 17) after the branch point: the measured states b + 1 .. b + 16."""
+    return episode.action[episode.branch_step : episode.branch_step + HORIZON].astype(np.float64)
+
+
+def _best_feature(pairs: Sequence[tuple[Episode, Episode]]) -> tuple[str, float]:
+    """The scalar of the window that tells the two demonstrations apart best, and its AUROC (0.5 to 1).
+
+    The paper's shortcut test (sec:envs): pooled over conditions, so that only a fixed coordinate can score. Scalars
+    are mean, minimum, maximum and last value of every joint, coordinate and rotation entry. The label is the mode;
+    in v3 it is the name, A or B, under which the generator drew the route.
+    """
+    windows = np.array([_window(episode)[:, :16] for pair in pairs for episode in pair])
+    label = np.array([episode.extra["drawn_second"] for pair in pairs for episode in pair]) > 0.5
+    windows = np.concatenate([windows[..., POSITION], windows[..., ROTATION], windows[..., JOINTS]], axis=-1)
+    names = [f"position.{axis}" for axis in "xyz"] + [f"rotation.{i}" for i in range(6)]
+    names += [f"joint.{i}" for i in range(7)]
+    summaries = {
+        "mean": windows.mean(axis=1), "min": windows.min(axis=1), "max": windows.max(axis=1), "last": windows[:, -1],
+    }  # fmt: skip
+    best = ("", 0.0)
+    for summary, values in summaries.items():
+        for name, column in zip(names, values.T, strict=True):
+            score = _auroc(column, label)
+            if score > best[1]:
+                best = (f"{summary} of {name}", score)
+    return best
+
+
+def _auroc(values: np.ndarray, label: np.ndarray) -> float:
+    """Area under the ROC curve of ``values`` (n,) for ``label`` (n,) in either direction; ties count half."""
+    from scipy.stats import rankdata
+
+    positive, negative = int(label.sum()), int((~label).sum())
+    if not positive or not negative:
+        return 0.5
+    # Values that differ by float32's rounding alone are the same value.
+    ranks = rankdata(np.round(values, 5))
+    area = (ranks[label].sum() - positive * (positive + 1) / 2) / (positive * negative)
+    return float(max(area, 1.0 - area))

@@ -1,0 +1,244 @@
+"""Recording pairs of demonstrations as LeRobotDatasets, in parallel, resumable, whole or not at all.
+
+Finished attempts are staged one by one in ``.<name>.recording`` beside the target; when there are enough, the three
+splits and the card are assembled there and the whole folder is renamed. The result depends on the arguments alone,
+neither on the number of processes nor on interruptions.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import count, islice
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from dualhead_envs.recording.episode import Episode
+from dualhead_envs.recording.shards import ShardStore, sync_folder, write_atomically
+
+#: Pairs in the paper's data sets (sec:envs): 350/75/75 and 168/36/36.
+DEFAULT_PAIRS = {"BimodalBypass-v2": 500, "RotatingBypass-v3": 240}
+#: Share of the pairs in each of val and test.
+HELD_OUT = 0.15
+HORIZON = 16
+#: More rejections than this share of the pairs (and than ten) mean that something is wrong.
+_TOO_MANY = 0.5
+
+
+def split_sizes(pairs: int) -> dict[str, int]:
+    """Pairs in train, val and test: 70%, 15%, 15%.
+
+    Raises:
+        ValueError: If there are fewer than three pairs.
+    """
+    if pairs < 3:
+        raise ValueError(f"pairs={pairs} cannot fill train, val and test: record at least 3")
+    held_out = max(1, round(HELD_OUT * pairs))
+    return {"train": pairs - 2 * held_out, "val": held_out, "test": held_out}
+
+
+def record_bypass(
+    env_id: str,
+    root: Path | str,
+    *,
+    pairs: int | None = None,
+    seed: int = 0,
+    env_kwargs: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+) -> Path:
+    """Record ``pairs`` initial states, both modes each, as ``root/{train,val,test}`` and ``root/card.json``.
+
+    Args:
+        env_id: ``"BimodalBypass-v2"`` or ``"RotatingBypass-v3"``.
+        root: Folder of the data set; must not exist.
+        pairs: Number of initial states (500 or 240 by default, as in the paper).
+        seed: Seed of the initial states and amplitudes.
+        env_kwargs: Arguments under which evaluation shall rebuild the environment (``tau``, ``control``, ...).
+        workers: Processes, as many as there are cores by default.
+        progress: Whether to show a progress bar on standard error.
+
+    Returns:
+        ``root``.
+
+    Raises:
+        ValueError: If the environment or the number of pairs does not fit.
+        FileExistsError: If ``root`` exists, or an unfinished recording with other arguments lies beside it.
+        BlockingIOError: If another process is recording to ``root``.
+        OSError: If the disk is full; what was recorded stays staged and a repeated call resumes.
+        RuntimeError: If too many initial states are rejected.
+    """
+    root = Path(root)
+    if env_id not in DEFAULT_PAIRS:
+        raise ValueError(f"env_id={env_id!r} has no pairs to record: choose one of {sorted(DEFAULT_PAIRS)}")
+    pairs = DEFAULT_PAIRS[env_id] if pairs is None else pairs
+    sizes = split_sizes(pairs)
+    if root.exists():
+        raise FileExistsError(f"{root} already exists: choose another output folder, or delete it first")
+    env_kwargs = dict(env_kwargs or {})
+    env = gym.make(f"dualhead_envs:{env_id}", **env_kwargs).unwrapped  # refuses bad arguments before any work
+    configuration = {
+        "env_id": env_id, "env_kwargs": env_kwargs, "pairs": pairs, "seed": seed, "version": _versions(),
+    }  # fmt: skip
+    staging = root.with_name(f".{root.name}.recording")
+    try:
+        root.parent.mkdir(parents=True, exist_ok=True)
+        with ShardStore(staging, configuration) as store:
+            _simulate(store, env_id, pairs, seed, workers, progress)
+            _assemble(store, root, env, sizes, env_kwargs, seed)
+            store.discard()
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise OSError(
+            error.errno,
+            f"the disk is full: free some space and repeat the command, what was recorded is kept in {staging}",
+        ) from error
+    return root
+
+
+def _simulate(
+    store: ShardStore, env_id: str, pairs: int, seed: int, workers: int | None, progress: bool
+) -> None:
+    """Attempt initial states, in order, until ``pairs`` of them are accepted; one shard an attempt."""
+    from joblib import Parallel, delayed
+    from tqdm import tqdm
+
+    finished = set(store.names())
+    accepted = sum(bool(store.read(name)) for name in finished)
+    rejected = len(finished) - accepted
+    attempts = (attempt for attempt in count() if _shard(attempt) not in finished)
+    pool = Parallel(n_jobs=workers or _cores(), return_as="generator", batch_size=1)
+    with tqdm(
+        total=pairs, initial=accepted, unit="pair", desc=env_id, disable=not progress, smoothing=0.05
+    ) as bar:
+        bar.set_postfix(rejected=rejected)
+        # As many as are missing at a time: nothing is simulated in vain, and rejections get another round.
+        while accepted < pairs:
+            batch = islice(attempts, pairs - accepted)
+            for attempt, episodes in pool(delayed(_attempt)(env_id, seed, attempt) for attempt in batch):
+                store.write(_shard(attempt), episodes)
+                accepted += bool(episodes)
+                rejected += not episodes
+                bar.update(bool(episodes))
+                bar.set_postfix(rejected=rejected)
+            if rejected > max(10, _TOO_MANY * pairs):
+                raise RuntimeError(
+                    f"{rejected} of {accepted + rejected} initial states of {env_id} were rejected: the scripted "
+                    "expert no longer solves this scene, check the versions of robosuite and mujoco"
+                )
+
+
+def _assemble(
+    store: ShardStore, root: Path, env: Any, sizes: Mapping[str, int], env_kwargs: dict[str, Any], seed: int
+) -> None:
+    from dualhead_envs.bypass.card import geometry_card
+    from dualhead_envs.recording.assembly import assemble
+
+    pairs, rejections = _first_pairs(store, sum(sizes.values()))
+    folder = store.folder / "dataset"
+    shutil.rmtree(folder, ignore_errors=True)  # left by a kill during the assembly
+    folder.mkdir()
+    start = 0
+    for split, size in sizes.items():
+        info = {
+            "env_id": env.bypass.env_id, "env_kwargs": env_kwargs, "split": split, "seed": seed,
+            "conditions_seed": seed, "horizon": HORIZON, "mode_probabilities": [0.5, 0.5],
+            "partition": env.mode_partition.to_dict(), "rejections": rejections,
+        }  # fmt: skip
+        shards = pairs[start : start + size]
+        assemble(shards, folder / split, env.layout, info, task=env.task_description)
+        start += size
+    card = geometry_card(env.bypass.env_id, pairs, rejections)
+    write_atomically(folder / "card.json", json.dumps(card, indent=2) + "\n")
+    folder.rename(root)
+    sync_folder(root.parent)
+
+
+def _first_pairs(store: ShardStore, number: int) -> tuple[list[tuple[Episode, Episode]], int]:
+    """The first ``number`` accepted pairs in the order of their attempts, numbered anew, and the rejections."""
+    pairs: list[tuple[Episode, Episode]] = []
+    rejections = 0
+    for name in store.names():
+        episodes = store.read(name)
+        if not episodes:
+            rejections += 1
+            continue
+        first, second = (replace(episode, pair=len(pairs)) for episode in episodes)
+        pairs.append((first, second))
+        if len(pairs) == number:
+            break
+    return pairs, rejections
+
+
+def _attempt(env_id: str, seed: int, attempt: int) -> tuple[int, list[Episode]]:
+    """The two episodes of one initial state, or none if a mode failed."""
+    from dualhead_envs.bypass.demonstrations import demonstrate_pair
+
+    env = _expert_env(env_id)
+    pair = demonstrate_pair(env, int(np.random.SeedSequence(seed, spawn_key=(attempt,)).generate_state(1)[0]))
+    if not pair.success:
+        return attempt, []
+    initial = env.initial_state
+    drawn_second = initial.route_azimuth >= 0.5 * np.pi
+    return attempt, [
+        Episode(
+            observation_state=np.array(demonstration.agent_pos[:-1]),
+            environment_state=np.array(demonstration.environment_state[:-1]),
+            action=demonstration.actions(),
+            mode=mode,
+            pair=attempt,
+            branch_step=pair.branch_step,
+            extra={
+                "amplitude": pair.amplitude,
+                "apex_error": demonstration.apex_error,
+                "clearance": demonstration.clearance,
+                "drawn_second": float((mode == 1) != drawn_second),
+            },
+        )
+        for mode, demonstration in enumerate(pair.demonstrations)
+    ]
+
+
+@cache
+def _expert_env(env_id: str) -> Any:
+    """The environment that the expert acts in; made once in every process."""
+    return gym.make(f"dualhead_envs:{env_id}", control="pose").unwrapped
+
+
+def _shard(attempt: int) -> str:
+    return f"{attempt:06d}"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def _versions() -> dict[str, str]:
+    """What else decides the numbers: a recording is not continued under another simulator."""
+    from importlib.metadata import version
+
+    return {name: version(name) for name in ("lerobot_policy_dualhead", "mujoco", "robosuite")}
+
+
+def read_card(root: Path | str) -> dict[str, Any]:
+    """The geometry card of the data set ``root``.
+
+    Raises:
+        FileNotFoundError: If there is none.
+    """
+    path = Path(root) / "card.json"
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist: name a data set that `dualhead record` wrote")
+    return json.loads(path.read_text())
+
+
+__all__: Sequence[str] = ("DEFAULT_PAIRS", "read_card", "record_bypass", "split_sizes")
