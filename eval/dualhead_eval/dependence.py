@@ -16,7 +16,8 @@ def entropy(frequencies: ArrayLike) -> NDArray[np.float64]:
     """Entropy in nats of frequencies on the last axis ``(..., K)``; NaN where they are NaN."""
     f = np.asarray(frequencies, dtype=np.float64)
     logs = np.log(f, out=np.zeros_like(f), where=f > 0)
-    return -(f * logs).sum(axis=-1)
+    # Adding zero turns -0.0 into 0.0.
+    return -(f * logs).sum(axis=-1) + 0.0
 
 
 def mutual_information(counts: ArrayLike) -> NDArray[np.float64]:
@@ -55,8 +56,6 @@ def frequency_range_from_effect(delta: ArrayLike) -> tuple[NDArray[np.float64], 
     """
     d = np.asarray(delta, dtype=np.float64)
     if not (np.abs(d) <= 0.5).all():
-        raise ValueError(
-            f"delta={d.tolist()} is outside [-0.5, 0.5], expected an effect that two modes can have"
-        )
+        raise ValueError(f"delta={d.tolist()} is outside [-0.5, 0.5], expected an effect that two modes can have")
     half = np.sqrt(0.25 - d**2)
     return 0.5 - half, 0.5 + half

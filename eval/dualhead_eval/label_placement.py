@@ -13,9 +13,7 @@ _ANGLES = (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90)
 _RADII = (9, 16, 26, 38, 52, 68, 86, 106, 130)
 
 
-def place_labels(
-    ax: Axes, x: Sequence[float], y: Sequence[float], labels: Sequence[str], size: float = 8
-) -> None:
+def place_labels(ax: Axes, x: Sequence[float], y: Sequence[float], labels: Sequence[str], size: float = 8) -> None:
     """Annotate the points of ``ax`` (data coordinates), moving each label to a free spot near its point.
 
     Limits of the axes must be final. Each label takes the nearest candidate position that lies inside the

@@ -9,9 +9,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from dualhead_eval.aggregation import RunSummary, summarise_run
 from dualhead_eval.gate import Gate
@@ -34,16 +35,30 @@ def draw_region(
     Raises:
         ValueError: If no run has a capacity to draw.
     """
-    summaries = [summarise_run(run) if isinstance(run, Gate) else run for run in runs]
+    figure = region_figure(
+        [summarise_run(run) if isinstance(run, Gate) else run for run in runs], normalised=normalised
+    )
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(target, format="png")
+    return target
+
+
+def region_figure(summaries: Sequence[RunSummary], *, normalised: bool | None = None) -> Figure:
+    """The attainable region with one point a run.
+
+    Raises:
+        ValueError: If no run has a capacity to draw.
+    """
     drawn = [s for s in summaries if np.isfinite(s.capacity)]
     if not drawn:
-        raise ValueError(
-            "no run has a both-valid pair, expected at least one to draw: check the valid-pair rates"
-        )
+        raise ValueError("no run has a both-valid pair, expected at least one to draw: check the valid-pair rates")
     if normalised is None:
         normalised = len({s.n_modes for s in drawn}) > 1
 
-    figure, ax = plt.subplots(figsize=(7.6, 5.6), dpi=160, layout="constrained")
+    figure = Figure(figsize=(7.6, 5.6), dpi=160, layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.subplots()
     limit = 1.0 if normalised else max(1 - 1 / s.n_modes for s in drawn)
     scales = np.array([1 - 1 / s.n_modes if normalised else 1.0 for s in drawn])
     x = np.array([s.capacity for s in drawn]) / scales
@@ -78,9 +93,7 @@ def draw_region(
     over = " / (1 - 1/K)" if normalised else ""
     ax.set_xlabel(f"capacity C{over}   (how varied the heads are)")
     ax.set_ylabel(f"effect Δ{over}   (agreement above chance)")
-    ax.set_title(
-        "Attainable region of coordination, with 95% intervals over conditions", fontsize=10, loc="left"
-    )
+    ax.set_title("Attainable region of coordination, with 95% intervals over conditions", fontsize=10, loc="left")
     if len({s.n_modes for s in drawn}) > 1:
         ax.legend(loc="upper left", frameon=False, fontsize=8)
     figure.canvas.draw()
@@ -88,21 +101,17 @@ def draw_region(
     several_pairs = len({s.heads for s in drawn}) > 1
     names = [s.label + (f" ({'-'.join(s.heads)})" if several_pairs else "") for s in drawn]
     place_labels(ax, x.tolist(), y.tolist(), names)
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(target, format="png")
-    plt.close(figure)
-    return target
+    return figure
 
 
 def _draw_frame(ax: Axes, limit: float, lowest: float) -> None:
     """The diagonal, the floor, the equivalence band and the lower side."""
     line = np.array([0.0, limit])
-    wide = np.array([0.0, 1.06 * limit])
     ax.fill_between(line, -MARGIN * line, MARGIN * line, color="tab:blue", alpha=0.18, linewidth=0, zorder=0)
     ax.plot(line, line, color="black", linewidth=1.2, zorder=1)
     ax.plot(line, 0 * line, color="0.5", linewidth=0.8, zorder=1)
-    ax.fill_between(wide, wide, 1.12 * limit, color="0.93", linewidth=0, zorder=0)
+    ax.axvspan(limit, 1.06 * limit, color="0.93", linewidth=0, zorder=0)
+    ax.fill_between(line, line, 1.12 * limit, color="0.93", linewidth=0, zorder=0)
     ax.set_xlim(0, 1.06 * limit)
     low = min(-0.12 * limit, 1.25 * lowest)
     ax.set_ylim(low, 1.12 * limit)

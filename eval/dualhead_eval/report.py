@@ -53,11 +53,13 @@ class Row:
         summary: The run's statistics for one pair of heads.
         partition: Name of the mode partition.
         readable: False if the valid-pair rate is too low for this partition to read rho.
+        first_pair: Whether this is the gate's first pair of heads.
     """
 
     summary: RunSummary
     partition: str
     readable: bool
+    first_pair: bool = True
 
     @property
     def reading(self) -> str:
@@ -85,7 +87,7 @@ def report_rows(gates: Iterable[Gate], *, tau: float | None = None, nfe: int | N
         for pair in combinations(range(len(gate.heads)), 2):
             summary = summarise_run(gate, heads=pair, tau=tau, nfe=nfe)
             enough = summary.valid_rate >= READABLE_VALID_RATE.get(partition, 0.0)
-            rows.append(Row(summary, partition, enough))
+            rows.append(Row(summary, partition, enough, pair == (0, 1)))
     return rows
 
 

@@ -8,6 +8,11 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dualhead_eval.gate import Gate
+    from dualhead_eval.report import Row
 
 DESCRIPTION = "Turn gate files into a table, JSON and figures, or print a recorded dataset's geometry card."
 
@@ -24,15 +29,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write every number to FILE")
     parser.add_argument("--figure", type=Path, metavar="FILE.png", help="also draw the attainable region")
     parser.add_argument(
+        "--figures", type=Path, metavar="FOLDER", help="also draw every figure (region, forest, heat map, ...)"
+    )
+    parser.add_argument(
+        "--html", type=Path, metavar="FILE.html", help="also write one self-contained page with everything"
+    )
+    parser.add_argument(
+        "--paper", action="store_true", help="also print our numbers beside the paper's, and its claims graded"
+    )
+    parser.add_argument(
         "--normalised",
         action=argparse.BooleanOptionalAction,
         default=None,
-        help="divide both axes of the figure by 1 - 1/K (default: when the runs differ in K)",
+        help="divide both axes of the region by 1 - 1/K (default: when the runs differ in K)",
     )
     parser.add_argument("--tau", type=float, help="threshold to report (default: each gate's reference)")
-    parser.add_argument(
-        "--nfe", type=int, help="integration steps to report (default: each gate's reference)"
-    )
+    parser.add_argument("--nfe", type=int, help="integration steps to report (default: each gate's reference)")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
 
 
@@ -44,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         FileExistsError: If an output exists and ``--overwrite`` was not given.
         ValueError: If an input is not a gate file or a dataset.
     """
-    outputs = [args.json, args.figure]
+    outputs = [args.json, args.figure, args.figures, args.html]
     for output in outputs:
         if output is not None and output.exists() and not args.overwrite:
             raise FileExistsError(f"{output} exists: choose another name or add --overwrite")
@@ -65,9 +77,7 @@ def run(args: argparse.Namespace) -> int:
     gates = [read_gate(path) for path in args.inputs if path not in folders]
     if not gates:
         if any(output is not None for output in outputs):
-            raise ValueError(
-                "no gate file was given, expected at least one for --json or --figure: add GATE files"
-            )
+            raise ValueError("no gate file was given, expected at least one for the outputs asked for: add GATE files")
         return 0
     rows = report_rows(gates, tau=args.tau, nfe=args.nfe)
     console.print(render_table(rows))
@@ -79,7 +89,38 @@ def run(args: argparse.Namespace) -> int:
 
         draw_region([row.summary for row in rows], args.figure, normalised=args.normalised)
         console.print(f"attainable region drawn in {args.figure}")
+    if args.paper:
+        from dualhead_eval.paper_tables import render_claims, render_comparisons
+
+        console.print()
+        console.print(render_comparisons(gates, rows))
+        console.print()
+        console.print(render_claims(gates))
+    if args.figures is not None or args.html is not None:
+        _draw_and_write(gates, rows, args)
+        for output in (args.figures, args.html):
+            if output is not None:
+                console.print(f"written to {output}")
     return 0
+
+
+def _draw_and_write(gates: list[Gate], rows: list[Row], args: argparse.Namespace) -> None:
+    """Draw every figure once, for the folder of PNGs, the page, or both."""
+    from dualhead_eval.atomic_text import write_text
+    from dualhead_eval.report_figures import report_figures
+
+    figures = report_figures(gates, rows, normalised=args.normalised)
+    if args.figures is not None:
+        args.figures.mkdir(parents=True, exist_ok=True)
+        for name, png in figures.items():
+            (args.figures / f"{name}.png").write_bytes(png)
+    if args.html is not None:
+        from dualhead_eval.claims import grade_claims
+        from dualhead_eval.paper_numbers import compare_with_paper
+        from dualhead_eval.report_page import report_page
+
+        page = report_page(gates, rows, figures, compare_with_paper(gates, rows), grade_claims(gates))
+        write_text(args.html, page)
 
 
 def _read_card(folder: Path) -> dict:
@@ -93,7 +134,5 @@ def _read_card(folder: Path) -> dict:
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is not complete JSON ({error}): record the dataset again") from error
     if not isinstance(card, dict):
-        raise ValueError(
-            f"{path} holds a {type(card).__name__}, expected a JSON object: record the dataset again"
-        )
+        raise ValueError(f"{path} holds a {type(card).__name__}, expected a JSON object: record the dataset again")
     return card

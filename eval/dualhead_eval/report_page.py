@@ -1,0 +1,213 @@
+"""One self-contained HTML page: tables, figures, the paper's numbers beside ours, graded claims, provenance."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+
+from dualhead_eval.claims import Grade
+from dualhead_eval.gate import Gate
+from dualhead_eval.head_agreement import all_heads_agreement
+from dualhead_eval.inference import Equivalence
+from dualhead_eval.paper_numbers import Comparison
+from dualhead_eval.report import EXPLANATION, RHO, Row
+from dualhead_eval.report_figures import CAPTIONS
+from dualhead_eval.residual_strata import summarise_strata
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em;
+} h1 { font-size: 1.6em; } h2 { font-size: 1.2em; margin-top: 2.2em; }
+table { border-collapse: collapse; font-size: 0.88em; margin: 0.6em 0; }
+th, td { padding: 0.25em 0.7em; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }
+th { border-bottom: 2px solid #888; } td:first-child, th:first-child, td.text, th.text { text-align: left; }
+td.warn { background: #fff3c4; } .wide { overflow-x: auto; } figure { margin: 1.2em 0; }
+figure img { max-width: 100%; } figcaption, .note { color: #555; font-size: 0.9em; }
+details { margin: 0.5em 0; } pre { font-size: 0.8em; background: #f6f6f6; padding: 0.8em; overflow-x: auto; }
+dl { display: grid; grid-template-columns: max-content auto; gap: 0.2em 1em; }
+dt { font-weight: bold; } dd { margin: 0; }
+"""
+
+
+def report_page(
+    gates: Sequence[Gate],
+    rows: Sequence[Row],
+    figures: Mapping[str, bytes],
+    comparisons: Sequence[Comparison],
+    grades: Sequence[Grade],
+) -> str:
+    """The page as one string; images are embedded, nothing is fetched."""
+    sections = [
+        ("Do the two heads choose modes together?", _effects(rows) + _explanation()),
+        ("Figures", _figures(figures)),
+        ("The residual between the two decodings", _residuals(gates)),
+        ("More than two heads", _all_heads(gates)),
+        ("Beside the paper's numbers", _comparisons(comparisons)),
+        ("The paper's claims on these runs", _grades(grades)),
+        ("Where the numbers come from", _provenance(gates)),
+    ]
+    body = "\n".join(f"<h2>{escape(title)}</h2>\n{content}" for title, content in sections if content)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f"<title>Coordination report</title><style>{_STYLE}</style></head>\n"
+        f"<body><h1>Coordination report</h1>\n{body}\n</body></html>\n"
+    )
+
+
+def _table(head: Sequence[str], lines: Iterable[Sequence[str]], text: Sequence[int] = (0,)) -> str:
+    """An HTML table; cells are escaped here, columns in ``text`` are left-aligned, "! " marks a warning."""
+
+    def cell(tag: str, index: int, content: str) -> str:
+        kinds = ["text"] if index in text else []
+        if content.startswith("! "):
+            kinds, content = [*kinds, "warn"], content[2:]
+        attribute = f' class="{" ".join(kinds)}"' if kinds else ""
+        return f"<{tag}{attribute}>{escape(content)}</{tag}>"
+
+    def line(tag: str, cells: Sequence[str]) -> str:
+        return "<tr>" + "".join(cell(tag, index, content) for index, content in enumerate(cells)) + "</tr>"
+
+    return (
+        '<div class="wide"><table>'
+        + line("th", head)
+        + "".join(line("td", cells) for cells in lines)
+        + "</table></div>"
+    )
+
+
+def _figure(value: float, spec: str) -> str:
+    return "undefined" if value != value else format(value, spec)
+
+
+def _range(low: float, high: float, spec: str) -> str:
+    return "undefined" if low != low else f"[{low:{spec}}, {high:{spec}}]"
+
+
+def _equivalence(test: Equivalence) -> str:
+    if test.equivalent is None:
+        return "undefined"
+    return f"{'yes' if test.equivalent else 'no'} (±{test.width:.2%})"
+
+
+def _effects(rows: Sequence[Row]) -> str:
+    head = ["run", "heads", "K", "tau", "NFE", "valid", "obs", "BL", "Delta", "95%", "C", "C tight", RHO, "95%"]
+    head += [f"|{RHO}| < 2%?", "pooled Delta", "Simpson", "TV to data A/B", "reading"]
+    lines = []
+    for row in rows:
+        s = row.summary
+        delta, rho, test = s.intervals["delta"], s.intervals["rho"], s.equivalence
+        lines.append(
+            [
+                s.label,
+                " / ".join(s.heads),
+                str(s.n_modes),
+                f"{s.tau:g}",
+                str(s.nfe),
+                f"{s.valid_rate:.4f}",
+                _figure(s.obs, ".4f"),
+                _figure(s.bl, ".4f"),
+                _figure(s.delta, "+.4f"),
+                _range(delta.low, delta.high, "+.4f"),
+                _figure(s.capacity, ".4f"),
+                _figure(s.capacity_tight, ".4f"),
+                _figure(s.rho, "+.1%"),
+                _range(rho.low, rho.high, "+.1%"),
+                _equivalence(test),
+                _figure(s.delta_pooled, "+.4f"),
+                _figure(s.simpson, "+.4f"),
+                f"{s.tv_target_q:.3f} / {s.tv_target_p:.3f}" if s.tv_target_q == s.tv_target_q else "no target",
+                row.reading if row.readable else f"! {row.reading}",
+            ]
+        )
+    return _table(head, lines, text=(0, 1, len(head) - 1))
+
+
+def _explanation() -> str:
+    items = "".join(f"<dt>{escape(name)}</dt><dd>{escape(meaning)}</dd>" for name, meaning in EXPLANATION)
+    return f"<dl>{items}</dl>"
+
+
+def _figures(figures: Mapping[str, bytes]) -> str:
+    parts = []
+    for name, png in figures.items():
+        data = base64.b64encode(png).decode()
+        caption = escape(CAPTIONS[name])
+        parts.append(
+            f'<figure><img alt="{caption}" src="data:image/png;base64,{data}">'
+            f"<figcaption>{caption}</figcaption></figure>"
+        )
+    return "\n".join(parts)
+
+
+def _residuals(gates: Sequence[Gate]) -> str:
+    head = ["run", "component", "unit", "mean", "same-mode", "cross-mode", "cross-mode share", "mean / floor"]
+    head.append("AUROC")
+    lines = []
+    for gate in gates:
+        for name, strata in gate.strata.items():
+            s = summarise_strata(strata.at(gate.index()))
+            lines.append(
+                [
+                    gate.label,
+                    name,
+                    s.unit,
+                    *(_figure(value, ".2f") for value in (s.mean, s.same, s.cross)),
+                    _figure(s.cross_share, ".1%"),
+                    _figure(s.over_floor, ".2f"),
+                    _figure(s.auroc, ".4f"),
+                ]
+            )
+    return _table(head, lines, text=(0, 1, 2)) if lines else ""
+
+
+def _all_heads(gates: Sequence[Gate]) -> str:
+    lines = []
+    for gate in gates:
+        if len(gate.heads) > 2:
+            agreement = all_heads_agreement(gate)
+            low, high = agreement.interval.low, agreement.interval.high
+            lines.append(
+                [
+                    gate.label,
+                    ", ".join(gate.heads),
+                    _figure(agreement.valid_rate, ".4f"),
+                    _figure(agreement.rate, ".4f"),
+                    _range(low, high, ".4f"),
+                    _figure(agreement.chance, ".4f"),
+                ]
+            )
+    head = ["run", "heads", "all valid", "all in one mode", "95%", "expected by chance"]
+    return _table(head, lines, text=(0, 1)) if lines else ""
+
+
+def _comparisons(comparisons: Sequence[Comparison]) -> str:
+    if not comparisons:
+        return "<p>None of these runs has the setting of a row in the paper.</p>"
+    head = ["run", "the paper's row", "quantity", "ours", "95% (conditions)", "paper", "difference", "seeds"]
+    head.append("note")
+    lines = []
+    for c in comparisons:
+        spec = ".1f" if c.quantity == "residual_mm" else ".4f"
+        bounds = "" if c.interval is None else _range(c.interval.low, c.interval.high, spec)
+        cells = [c.label, f"{c.row} ({c.source})", c.quantity, _figure(c.ours, spec), bounds]
+        cells.append(f"{c.paper:{spec}}")
+        lines.append([*cells, _figure(c.difference, "+" + spec), str(c.n or ""), c.note])
+    note = (
+        "The paper's values are means over its seeds; most of its rows use head-valid marginals, ours the exact ones."
+    )
+    return _table(head, lines, text=(0, 1, 2, 8)) + f'<p class="note">{escape(note)}</p>'
+
+
+def _grades(grades: Sequence[Grade]) -> str:
+    lines = [[grade.claim, grade.grade, grade.evidence, grade.criterion] for grade in grades]
+    return _table(["claim", "on these runs", "evidence", "criterion"], lines, text=(0, 1, 2, 3)) if lines else ""
+
+
+def _provenance(gates: Sequence[Gate]) -> str:
+    parts = []
+    for gate in gates:
+        facts = {"heads": list(gate.heads), "conditions": gate.n_conditions, "taus": gate.taus, "nfes": gate.nfes}
+        text = json.dumps(facts | gate.provenance, indent=1, default=str)
+        parts.append(f"<details><summary>{escape(gate.label)}</summary><pre>{escape(text)}</pre></details>")
+    return "\n".join(parts)
