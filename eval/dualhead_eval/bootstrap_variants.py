@@ -96,9 +96,7 @@ def studentised_interval(
 def _ratio_and_error(sums: ConditionSums, name: str, weights: NDArray) -> tuple[NDArray, NDArray]:
     """The ratio and its linearised standard error for each row of ``weights`` over conditions."""
     if name not in _RATIOS:
-        raise KeyError(
-            f"{name!r} is not a ratio of sums, expected one of {sorted(_RATIOS)}: use bca_interval"
-        )
+        raise KeyError(f"{name!r} is not a ratio of sums, expected one of {sorted(_RATIOS)}: use bca_interval")
     numerator, denominator = (sums.terms[:, column] for column in _RATIOS[name])
     top, bottom = weights @ numerator, weights @ denominator
     missing = np.full(top.shape, np.nan)

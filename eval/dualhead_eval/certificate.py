@@ -111,21 +111,15 @@ class CoordinationCertificate:
         a, b = validate_labels(label_a, state.n_modes), validate_labels(label_b, state.n_modes)
         if a.shape != b.shape or a.ndim not in (1, 2):
             raise ValueError(
-                f"labels have shapes {a.shape} and {b.shape}, expected one shape: (n,) single pairs or "
-                "(decisions, n)"
+                f"labels have shapes {a.shape} and {b.shape}, expected one shape: (n,) single pairs or (decisions, n)"
             )
         if a.size == 0:
-            raise ValueError(
-                "labels are empty, expected at least one pair: call update once a decision was made"
-            )
+            raise ValueError("labels are empty, expected at least one pair: call update once a decision was made")
         single = a.ndim == 1 or a.shape[1] == 1
         if state.decisions and single != state.single:
-            seen, given = (
-                ("single pairs", "several") if state.single else ("several pairs a decision", "single")
-            )
+            seen, given = ("single pairs", "several") if state.single else ("several pairs a decision", "single")
             raise ValueError(
-                f"this certificate has seen {seen} and now {given}, expected one kind: start a certificate "
-                f"for each"
+                f"this certificate has seen {seen} and now {given}, expected one kind: start a certificate for each"
             )
         state.single = single
         if single and a.size == 1:
@@ -304,9 +298,7 @@ def _read(state: CertificateState) -> CertificateReading:
         delta_bounds = effect_bounds(agreement.bounds(alpha), q_bounds, p_bounds)
         q_range, p_range = gini_bounds(q_bounds), gini_bounds(p_bounds)
     else:
-        delta, diversity_q, diversity_p = (
-            m.mean for m in (state.delta, state.diversity_q, state.diversity_p)
-        )
+        delta, diversity_q, diversity_p = (m.mean for m in (state.delta, state.diversity_q, state.diversity_p))
         delta_bounds = bounded(state.delta, -largest, largest)
         q_range, p_range = (bounded(m, 0.0, largest) for m in (state.diversity_q, state.diversity_p))
     capacity = sqrt(diversity_q * diversity_p) if not isnan(diversity_q) else nan
@@ -332,11 +324,7 @@ def _read(state: CertificateState) -> CertificateReading:
         used=state.agreement.count if state.single else state.delta.count,
         guarantee=(
             f"exact (non-asymptotic), jointly and at all times with probability {1 - state.alpha:g}"
-            + (
-                "; pooled effect, contains the conditions' own co-movement (Simpson term)"
-                if state.single
-                else ""
-            )
+            + ("; pooled effect, contains the conditions' own co-movement (Simpson term)" if state.single else "")
         ),
     )
 

@@ -62,13 +62,10 @@ class CertificateState:
             mine, theirs = getattr(self, name), getattr(other, name)
             if mine != theirs:
                 raise ValueError(
-                    f"certificates with {name}={mine} and {theirs} given, expected the same: merge like with "
-                    f"like"
+                    f"certificates with {name}={mine} and {theirs} given, expected the same: merge like with like"
                 )
         if self.decisions and other.decisions and self.single != other.single:
-            raise ValueError(
-                "certificates of single pairs and of several pairs a decision given, expected one kind"
-            )
+            raise ValueError("certificates of single pairs and of several pairs a decision given, expected one kind")
         self.single = other.single if other.decisions else self.single
         for name in ("decisions", "pairs", "valid_pairs", "agreeing"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
@@ -79,18 +76,14 @@ class CertificateState:
                 mine.merge(theirs)
 
 
-def new_state(
-    n_modes: int, alpha: float, margin: float, collapse: float, min_valid_rate: float
-) -> CertificateState:
+def new_state(n_modes: int, alpha: float, margin: float, collapse: float, min_valid_rate: float) -> CertificateState:
     """An empty state.
 
     Raises:
         ValueError: If a parameter is out of range.
     """
     if int(n_modes) != n_modes or n_modes < 2:
-        raise ValueError(
-            f"n_modes={n_modes}, expected an integer of at least 2: one mode cannot be coordinated"
-        )
+        raise ValueError(f"n_modes={n_modes}, expected an integer of at least 2: one mode cannot be coordinated")
     for name, value in (("alpha", alpha), ("margin", margin), ("collapse", collapse)):
         if not 0 < value < 1:
             raise ValueError(f"{name}={value}, expected a number between 0 and 1")
@@ -131,20 +124,14 @@ def read_state(path: str | os.PathLike) -> CertificateState:
     """
     source = Path(path)
     if not source.is_file():
-        raise FileNotFoundError(
-            f"certificate {source} does not exist: save one with CoordinationCertificate.save"
-        )
+        raise FileNotFoundError(f"certificate {source} does not exist: save one with CoordinationCertificate.save")
     try:
         document = json.loads(source.read_text())
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"{source} is not a complete certificate (truncated, or not JSON): save it again"
-        ) from error
+        raise ValueError(f"{source} is not a complete certificate (truncated, or not JSON): save it again") from error
     found = document.get("format") if isinstance(document, dict) else None
     if found != FORMAT:
-        raise ValueError(
-            f"{source} has format {found!r}, expected {FORMAT!r}: save it again with this version"
-        )
+        raise ValueError(f"{source} has format {found!r}, expected {FORMAT!r}: save it again with this version")
     try:
         stored = document["state"]
         values = {field.name: stored[field.name] for field in fields(CertificateState)}

@@ -100,8 +100,7 @@ class CertificateWrapper(gym.Wrapper):
         path_a, path_b = (np.asarray(path, dtype=np.float64) for path in self._predict(observation))
         if path_a.ndim != 3 or path_a.shape != path_b.shape:
             raise ValueError(
-                f"predictions have shapes {path_a.shape} and {path_b.shape}, expected (n, H, d) positions in "
-                f"metres"
+                f"predictions have shapes {path_a.shape} and {path_b.shape}, expected (n, H, d) positions in metres"
             )
         condition = np.asarray(observation["environment_state"], dtype=np.float64)
         labels = (self._partition.assign(path, condition) for path in (path_a, path_b))
@@ -130,6 +129,7 @@ def certificate_columns(info: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """
     report = info["coordination"]
     columns = {
-        f"certificate.{key}": np.float32([report[key]]) for key in ("residual_mm", "delta", "capacity")
+        f"certificate.{key}": np.array([report[key]], dtype=np.float32) for key in ("residual_mm", "delta", "capacity")
     }
-    return {**columns, "certificate.verdict": np.array([VERDICTS.index(report["verdict"])])}
+    columns["certificate.verdict"] = np.array([VERDICTS.index(report["verdict"])])
+    return columns

@@ -23,9 +23,7 @@ def validate_labels(labels: ArrayLike, n_modes: int) -> NDArray[np.int64]:
         ValueError: If a label is not an integer in -1..n_modes-1, or if ``n_modes`` is below 2.
     """
     if n_modes < 2:
-        raise ValueError(
-            f"n_modes={n_modes}, expected at least 2: with one mode there is nothing to coordinate"
-        )
+        raise ValueError(f"n_modes={n_modes}, expected at least 2: with one mode there is nothing to coordinate")
     array = np.asarray(labels)
     if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.floor(array)).all()):
         raise ValueError("labels contain NaN or fractions, expected integers: use -1 for an invalid sample")
@@ -35,8 +33,7 @@ def validate_labels(labels: ArrayLike, n_modes: int) -> NDArray[np.int64]:
     if array.size and (array.min() < INVALID or array.max() >= n_modes):
         wrong = int(array.min() if array.min() < INVALID else array.max())
         raise ValueError(
-            f"label {wrong} is outside 0..{n_modes - 1} and -1 (invalid): label with a partition of "
-            f"{n_modes} modes"
+            f"label {wrong} is outside 0..{n_modes - 1} and -1 (invalid): label with a partition of {n_modes} modes"
         )
     return array
 
@@ -55,9 +52,7 @@ def joint_table(labels: Sequence[ArrayLike], n_modes: int) -> NDArray[np.int64]:
         ValueError: If fewer than two heads are given, shapes differ or labels are out of range.
     """
     if len(labels) < 2:
-        raise ValueError(
-            f"labels of {len(labels)} head(s) given, expected two or more: coordination needs a pair"
-        )
+        raise ValueError(f"labels of {len(labels)} head(s) given, expected two or more: coordination needs a pair")
     heads = [validate_labels(head, n_modes) for head in labels]
     shapes = {head.shape for head in heads}
     if len(shapes) > 1 or heads[0].ndim == 0:
@@ -78,9 +73,7 @@ def joint_table(labels: Sequence[ArrayLike], n_modes: int) -> NDArray[np.int64]:
     return counts.astype(np.int64).reshape(*leading, *(side,) * len(heads))
 
 
-def joint_counts(
-    labels_a: ArrayLike, labels_b: ArrayLike, n_modes: int, *more: ArrayLike
-) -> NDArray[np.int64]:
+def joint_counts(labels_a: ArrayLike, labels_b: ArrayLike, n_modes: int, *more: ArrayLike) -> NDArray[np.int64]:
     """Joint counts ``(..., K+1, K+1)`` of two heads' labels ``(..., n)``; further heads add an axis each.
 
     >>> joint_counts([0, 1, 1, -1], [0, 1, 0, 1], n_modes=2).tolist()

@@ -115,9 +115,7 @@ def validate_counts(counts: ArrayLike, *, smallest: int = 2) -> NDArray:
         )
     if array.dtype.kind == "f":
         if not np.isfinite(array).all():
-            raise ValueError(
-                "counts contain NaN or infinity, expected integers: drop or fix these tables first"
-            )
+            raise ValueError("counts contain NaN or infinity, expected integers: drop or fix these tables first")
         if (array != np.floor(array)).any() or (np.abs(array) > 2**53).any():
             raise ValueError("counts are not integers: pass counts of pairs, not frequencies or weights")
         array = array.astype(np.int64)
@@ -127,9 +125,7 @@ def validate_counts(counts: ArrayLike, *, smallest: int = 2) -> NDArray:
     elif array.dtype.kind not in "iub":
         raise ValueError(f"counts have dtype {array.dtype}, expected integers: pass counts of pairs")
     if array.size and array.min() < 0:
-        raise ValueError(
-            f"counts contain {array.min()}, expected numbers >= 0: counts of pairs are never negative"
-        )
+        raise ValueError(f"counts contain {array.min()}, expected numbers >= 0: counts of pairs are never negative")
     return array
 
 
@@ -203,6 +199,4 @@ def coordination(counts: ArrayLike) -> Coordination:
 
 def _ratio(numerator: NDArray, denominator: NDArray) -> NDArray:
     """numerator / denominator, NaN where the denominator is zero."""
-    return np.divide(
-        numerator, denominator, out=np.full(np.shape(denominator), np.nan), where=denominator != 0
-    )
+    return np.divide(numerator, denominator, out=np.full(np.shape(denominator), np.nan), where=denominator != 0)

@@ -32,9 +32,7 @@ def action_l2(samples: ArrayLike) -> NDArray[np.float64]:
     """
     x = np.asarray(samples, dtype=np.float64)
     if x.ndim < 3 or len(x) < 2:
-        raise ValueError(
-            f"samples have shape {x.shape}, expected (members, ..., H, d) with two members or more"
-        )
+        raise ValueError(f"samples have shape {x.shape}, expected (members, ..., H, d) with two members or more")
     return np.linalg.norm(x[:, None] - x[None], axis=-1).mean(axis=-1)
 
 
@@ -83,9 +81,7 @@ def vfd_score(
     return scores
 
 
-def contamination(
-    scores: ArrayLike, labels: ArrayLike, *, unit: str = "mm"
-) -> dict[tuple[int, int], ResidualStrata]:
+def contamination(scores: ArrayLike, labels: ArrayLike, *, unit: str = "mm") -> dict[tuple[int, int], ResidualStrata]:
     """Split pairwise scores by whether the two members chose the same mode.
 
     Args:
@@ -101,10 +97,6 @@ def contamination(
     """
     s, m = np.asarray(scores, dtype=np.float64), np.asarray(labels)
     if s.shape != (len(m), *m.shape):
-        raise ValueError(
-            f"scores have shape {s.shape} and labels {m.shape}, expected (M, M, ..., n) and (M, ..., n)"
-        )
+        raise ValueError(f"scores have shape {s.shape} and labels {m.shape}, expected (M, M, ..., n) and (M, ..., n)")
     members = range(len(m))
-    return {
-        (i, j): residual_strata(s[i, j], m[i], m[j], unit=unit) for i in members for j in members if i != j
-    }
+    return {(i, j): residual_strata(s[i, j], m[i], m[j], unit=unit) for i in members for j in members if i != j}

@@ -105,13 +105,9 @@ class Gate:
         tau = self.reference_tau if tau is None else float(tau)
         nfe = self.reference_nfe if nfe is None else int(nfe)
         if nfe not in self.nfes:
-            raise KeyError(
-                f"nfe={nfe} was not evaluated, only {self.nfes}: choose one of these or evaluate again"
-            )
+            raise KeyError(f"nfe={nfe} was not evaluated, only {self.nfes}: choose one of these or evaluate again")
         if tau not in self.taus:
-            raise KeyError(
-                f"tau={tau} was not evaluated, only {self.taus}: choose one of these or evaluate again"
-            )
+            raise KeyError(f"tau={tau} was not evaluated, only {self.taus}: choose one of these or evaluate again")
         return self.nfes.index(nfe), self.taus.index(tau)
 
     def table(self, tau: float | None = None, nfe: int | None = None) -> NDArray[np.int64]:
@@ -159,8 +155,7 @@ def _validate(gate: Gate) -> None:
         )
     if gate.conditions.ndim != 2 or len(gate.conditions) != gate.n_conditions:
         raise ValueError(
-            f"gate conditions have shape {gate.conditions.shape}, expected ({gate.n_conditions}, C): one row "
-            f"each"
+            f"gate conditions have shape {gate.conditions.shape}, expected ({gate.n_conditions}, C): one row each"
         )
     if not np.isfinite(gate.conditions).all():
         raise ValueError("gate conditions contain NaN or infinity, expected the environment's state")
@@ -171,8 +166,7 @@ def _validate(gate: Gate) -> None:
         target.shape != (gate.n_modes,) or not (target >= 0).all() or abs(target.sum() - 1) > 1e-6
     ):
         raise ValueError(
-            f"gate target_probabilities are {target.tolist()}, expected {gate.n_modes} numbers >= 0 that sum "
-            f"to 1"
+            f"gate target_probabilities are {target.tolist()}, expected {gate.n_modes} numbers >= 0 that sum to 1"
         )
     if not isinstance(gate.provenance, dict):
         raise ValueError(f"gate provenance is a {type(gate.provenance).__name__}, expected a JSON object")
@@ -218,9 +212,7 @@ def read_gate(path: str | os.PathLike) -> Gate:
     try:
         document = json.loads(source.read_text())
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"{source} is not a complete gate file (truncated, or not JSON at all): {again}"
-        ) from error
+        raise ValueError(f"{source} is not a complete gate file (truncated, or not JSON at all): {again}") from error
     if not isinstance(document, dict) or "format" not in document:
         raise ValueError(f"{source} is JSON but not a gate file (no format field): {again}")
     if document["format"] != FORMAT:

@@ -70,9 +70,7 @@ def merge_gates(gates: Sequence[Gate]) -> Gate:
         for name in set.intersection(*(set(gate.strata) for gate in gates)):
             parts = [gate.strata[name] for gate in gates]
             fields = ("n", "total", "squares", "median", "u")
-            strata[name] = replace(
-                parts[0], **{f: np.concatenate([getattr(p, f) for p in parts], 2) for f in fields}
-            )
+            strata[name] = replace(parts[0], **{f: np.concatenate([getattr(p, f) for p in parts], 2) for f in fields})
     return replace(
         first,
         counts=np.stack(counts, axis=2),

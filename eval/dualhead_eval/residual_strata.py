@@ -40,11 +40,7 @@ class ResidualStrata:
 
     def __post_init__(self) -> None:
         shape = self.n.shape
-        if (
-            not shape
-            or shape[-1] != 2
-            or any(x.shape != shape for x in (self.total, self.squares, self.median))
-        ):
+        if not shape or shape[-1] != 2 or any(x.shape != shape for x in (self.total, self.squares, self.median)):
             raise ValueError(
                 f"strata have shapes {shape}, {self.total.shape}, {self.squares.shape}, {self.median.shape}, "
                 f"expected "
@@ -53,9 +49,7 @@ class ResidualStrata:
         if self.u.shape != shape[:-1]:
             raise ValueError(f"strata's U has shape {self.u.shape}, expected {shape[:-1]}")
         if (self.n < 0).any() or (self.u < 0).any() or (self.u > self.n[..., 0] * self.n[..., 1]).any():
-            raise ValueError(
-                "strata contain a negative count, or a U outside 0..n_same * n_cross: evaluate again"
-            )
+            raise ValueError("strata contain a negative count, or a U outside 0..n_same * n_cross: evaluate again")
 
     def at(self, index: tuple) -> ResidualStrata:
         """The strata at ``index`` of the leading axes."""
@@ -84,9 +78,7 @@ def residual_strata(
         )
     valid = (a >= 0) & (b >= 0)
     if not (values[valid] >= 0).all():
-        raise ValueError(
-            "residual of a both-valid pair is NaN or negative, expected a distance: check the samples"
-        )
+        raise ValueError("residual of a both-valid pair is NaN or negative, expected a distance: check the samples")
     leading = values.shape[:-1]
     members = np.stack([valid & (a == b), valid & (a != b)], axis=-2)
     kept = np.where(members, values[..., None, :], 0.0)
@@ -95,9 +87,7 @@ def residual_strata(
     rows = int(np.prod(leading, dtype=np.int64))
     median = np.full((rows, 2), np.nan)
     u = np.zeros(rows)
-    for row, (strata, x) in enumerate(
-        zip(members.reshape(rows, 2, -1), values.reshape(rows, -1), strict=True)
-    ):
+    for row, (strata, x) in enumerate(zip(members.reshape(rows, 2, -1), values.reshape(rows, -1), strict=True)):
         same, cross = x[strata[0]], x[strata[1]]
         for column, part in enumerate((same, cross)):
             if part.size:

@@ -77,9 +77,7 @@ def rotation_matrices(rotation: ArrayLike) -> NDArray[np.float64]:
     """
     r = np.asarray(rotation, dtype=np.float64)
     if r.shape[-1:] != (6,):
-        raise ValueError(
-            f"rotation has shape {r.shape}, expected (..., 6): the first two columns of the matrix"
-        )
+        raise ValueError(f"rotation has shape {r.shape}, expected (..., 6): the first two columns of the matrix")
     x = r[..., :3] / np.linalg.norm(r[..., :3], axis=-1, keepdims=True)
     y = r[..., 3:] - (x * r[..., 3:]).sum(axis=-1, keepdims=True) * x
     y = y / np.linalg.norm(y, axis=-1, keepdims=True)

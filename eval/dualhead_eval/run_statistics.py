@@ -41,9 +41,7 @@ class ConditionSums:
         """Sums per group (episode cluster): one row per distinct value of ``groups`` ``(n_conditions,)``."""
         labels = np.asarray(groups)
         if labels.shape != (len(self.terms),):
-            raise ValueError(
-                f"groups have shape {labels.shape}, expected ({len(self.terms)},): one per condition"
-            )
+            raise ValueError(f"groups have shape {labels.shape}, expected ({len(self.terms)},): one per condition")
         _, index = np.unique(labels, return_inverse=True)
         terms = np.zeros((index.max() + 1, self.terms.shape[1]))
         np.add.at(terms, index, self.terms)
@@ -58,9 +56,7 @@ def condition_sums(table: ArrayLike) -> ConditionSums:
     """
     counts = validate_counts(table, smallest=3)
     if counts.ndim != 3 or len(counts) == 0:
-        raise ValueError(
-            f"table has shape {counts.shape}, expected (n_conditions, K+1, K+1) with a condition or more"
-        )
+        raise ValueError(f"table has shape {counts.shape}, expected (n_conditions, K+1, K+1) with a condition or more")
     effect = coordination(both_valid(counts))
     n = np.asarray(effect.n, dtype=np.float64)
     means = np.stack([effect.obs, effect.bl, effect.delta, effect.capacity, effect.capacity_tight], axis=1)
@@ -80,9 +76,7 @@ def run_statistics(sums: NDArray[np.float64], n_modes: int) -> dict[str, NDArray
     sampled, both = sums[..., 0], sums[..., 1]
 
     def over(numerator: NDArray, denominator: NDArray) -> NDArray:
-        return np.divide(
-            numerator, denominator, out=np.full(np.shape(numerator), np.nan), where=denominator > 0
-        )
+        return np.divide(numerator, denominator, out=np.full(np.shape(numerator), np.nan), where=denominator > 0)
 
     values = {name: over(sums[..., 2 + i], both) for i, name in enumerate(TERMS[2:])}
     cells = sums[..., len(TERMS) :].reshape(*sums.shape[:-1], n_modes, n_modes)

@@ -107,9 +107,7 @@ def interaction_test(
     spreads = np.ptp(shuffled.mean(axis=1), axis=1)
     # Sums in another order may differ in the last bit from the observed ones.
     as_large = int((spreads >= observed * (1 - 1e-12)).sum())
-    return Interaction(
-        tuple(d.mean(axis=1).tolist()), observed, (1 + as_large) / (1 + permutations), permutations
-    )
+    return Interaction(tuple(d.mean(axis=1).tolist()), observed, (1 + as_large) / (1 + permutations), permutations)
 
 
 def benjamini_hochberg(p_values: ArrayLike) -> NDArray[np.float64]:

@@ -68,9 +68,7 @@ def test_the_simpson_term_is_the_comovement_of_the_marginals():
     table = sampled_table(3, conditions=40)
     effect = coordination(table[:, :-1, :-1])
     weight = effect.n / effect.n.sum()
-    covariance = (weight[:, None] * effect.q * effect.p).sum() - (
-        (weight @ effect.q) * (weight @ effect.p)
-    ).sum()
+    covariance = (weight[:, None] * effect.q * effect.p).sum() - ((weight @ effect.q) * (weight @ effect.p)).sum()
     assert summarise_table(table, draws=5).simpson == pytest.approx(covariance, abs=1e-12)
 
 

@@ -237,8 +237,7 @@ def test_the_boundary_is_the_gamma_exponential_mixture(scale, s, v):
 
     points = [max(0.0, s / (v + rho + scale * s))]
     top, bottom = (
-        quad(integrand, 0, 1 / scale, args=args, limit=400, epsabs=0, points=points)[0]
-        for args in ((s, v), (0, 0))
+        quad(integrand, 0, 1 / scale, args=args, limit=400, epsabs=0, points=points)[0] for args in ((s, v), (0, 0))
     )
     assert log_mixture(s, v, scale, rho) == pytest.approx(np.log(top / bottom), abs=1e-8)
     u = boundary(v, 0.01, scale)
@@ -261,8 +260,7 @@ def test_pooled_bounds_contain_every_point_of_their_boxes(seed, k):
     rng = np.random.default_rng(seed)
     q, p = rng.dirichlet(np.ones(k), size=2)
     q_box, p_box = (
-        [(max(0, x - w), min(1, x + z)) for x, w, z in zip(m, *rng.random((2, k)) * 0.3, strict=True)]
-        for m in (q, p)
+        [(max(0, x - w), min(1, x + z)) for x, w, z in zip(m, *rng.random((2, k)) * 0.3, strict=True)] for m in (q, p)
     )
     low, high = chance_bounds(q_box, p_box)
     assert low - 1e-12 <= q @ p <= high + 1e-12

@@ -32,9 +32,7 @@ def make(couple, **kwargs):
     return CertificateWrapper(env, predictor(couple), **kwargs)
 
 
-@pytest.mark.parametrize(
-    ("couple", "verdict", "episodes"), [(1.0, "coordinated", 250), (0.0, "uncoordinated", 3000)]
-)
+@pytest.mark.parametrize(("couple", "verdict", "episodes"), [(1.0, "coordinated", 250), (0.0, "uncoordinated", 3000)])
 def test_the_verdict_of_a_rollout_reaches_info(couple, verdict, episodes):
     env = make(couple, decision_interval=16)
     for episode in range(episodes):

@@ -24,9 +24,7 @@ def test_mutual_information_is_scikit_learns(table):
     if table.sum() == 0:
         assert np.isnan(mutual_information(table))
         return
-    assert mutual_information(table) == pytest.approx(
-        mutual_info_score(None, None, contingency=table), abs=1e-12
-    )
+    assert mutual_information(table) == pytest.approx(mutual_info_score(None, None, contingency=table), abs=1e-12)
 
 
 def test_entropy_is_scipys():

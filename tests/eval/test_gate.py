@@ -45,9 +45,7 @@ def test_a_gate_survives_the_disk(gate, tmp_path):
     np.testing.assert_array_equal(back.pair_ids, gate.pair_ids)
     np.testing.assert_array_equal(back.target_probabilities, gate.target_probabilities)
     for name in ("n", "total", "squares", "median", "u"):
-        np.testing.assert_array_equal(
-            getattr(back.strata["position"], name), getattr(gate.strata["position"], name)
-        )
+        np.testing.assert_array_equal(getattr(back.strata["position"], name), getattr(gate.strata["position"], name))
     assert (back.heads, back.taus, back.nfes, back.label) == (gate.heads, gate.taus, gate.nfes, "a run")
     assert gate_digest(back) == gate_digest(gate) == json.loads(path.read_text())["sha256"]
     assert list(path.parent.iterdir()) == [path]

@@ -84,9 +84,7 @@ def test_strata_reproduce_means_medians_u_and_auroc(seed):
     run = summarise_strata(strata)
     everything = (a >= 0) & (b >= 0)
     assert run.mean == pytest.approx(residual[everything].mean())
-    assert run.cross_share == pytest.approx(
-        residual[everything & (a != b)].sum() / residual[everything].sum()
-    )
+    assert run.cross_share == pytest.approx(residual[everything & (a != b)].sum() / residual[everything].sum())
     assert run.over_floor == pytest.approx(run.mean / run.same)
 
 

@@ -38,11 +38,7 @@ def scanned(couple=0.5, seed=0, conditions=8, n=300, first_pair=0, label="run"):
         conditions=first_pair + np.arange(conditions, dtype=float)[:, None],
         pair_ids=first_pair + np.arange(conditions),
         provenance={"label": label, "partition": {"name": "ring", "n_modes": 2}, "seed": seed},
-        strata={
-            "position": residual_strata(
-                np.broadcast_to(residual, cut[:, :, 0].shape), cut[:, :, 0], cut[:, :, 1]
-            )
-        },
+        strata={"position": residual_strata(np.broadcast_to(residual, cut[:, :, 0].shape), cut[:, :, 0], cut[:, :, 1])},
     )
 
 
@@ -90,9 +86,7 @@ def test_merging_samples_of_the_same_conditions_adds_their_counts():
 
 def test_gates_that_do_not_belong_together_are_refused():
     gate = scanned()
-    other_partition = replace(
-        gate, provenance=gate.provenance | {"partition": {"name": "bypass-v2", "n_modes": 2}}
-    )
+    other_partition = replace(gate, provenance=gate.provenance | {"partition": {"name": "bypass-v2", "n_modes": 2}})
     with pytest.raises(ValueError, match="partition"):
         merge_gates([gate, other_partition])
     with pytest.raises(ValueError, match="label"):
