@@ -120,9 +120,7 @@ class RotatingRingEnv(gym.Env):
             raise gym.error.ResetNeeded("the episode has ended or never begun: call reset() before step()")
         target = self.ring.decode(action)
         if target.shape != (2,):
-            raise ValueError(
-                f"the action commands {target.shape[:-1]} points, expected one: pass a single action"
-            )
+            raise ValueError(f"the action commands {target.shape[:-1]} points, expected one: pass a single action")
         collision = not self.ring.inside_arena(target)
         self._path[self._steps] = self._position() if collision else target
         self._steps += 1
@@ -140,9 +138,7 @@ class RotatingRingEnv(gym.Env):
             gymnasium.error.ResetNeeded: If there is no episode to show.
         """
         if self.render_mode is None:
-            gym.logger.warn(
-                "render() was called without a render_mode: pass render_mode='rgb_array' to gym.make"
-            )
+            gym.logger.warn("render() was called without a render_mode: pass render_mode='rgb_array' to gym.make")
             return None
         if self._condition is None:
             raise gym.error.ResetNeeded("there is no episode to show: call reset() before render()")

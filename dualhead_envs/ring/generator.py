@@ -32,8 +32,7 @@ def mode_probabilities(n_modes: int, probabilities: Sequence[float] | None = Non
     values = np.asarray(probabilities, dtype=np.float64)
     if values.shape != (n_modes,) or not (values >= 0).all() or abs(values.sum() - 1.0) > 1e-6:
         raise ValueError(
-            f"mode_probabilities={probabilities!r} should be {n_modes} non-negative numbers that sum to 1, "
-            "one per mode"
+            f"mode_probabilities={probabilities!r} should be {n_modes} non-negative numbers that sum to 1, one per mode"
         )
     return tuple((values / values.sum()).tolist())
 

@@ -63,9 +63,7 @@ def validated_condition(condition: ArrayLike) -> np.ndarray:
     # The comparisons are written so that NaN fails them.
     unit = np.abs(np.hypot(values[..., 0], values[..., 1]) - 1.0) < 1e-3
     if not np.all(unit & (values[..., 2] > 0) & np.isfinite(values[..., 2])):
-        raise ValueError(
-            "a ring condition is not (cos theta, sin theta, r > 0): pass the recorded environment_state"
-        )
+        raise ValueError("a ring condition is not (cos theta, sin theta, r > 0): pass the recorded environment_state")
     return values
 
 

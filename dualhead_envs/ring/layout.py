@@ -22,14 +22,10 @@ def ring_layout(representation: str) -> Layout:
     """
     width = representation_map(representation).width
     joint = tuple(
-        Dimension(
-            f"joint.{representation}.{i}", "m", -ARENA, ARENA, f"coordinate {i} of the {representation} map"
-        )
+        Dimension(f"joint.{representation}.{i}", "m", -ARENA, ARENA, f"coordinate {i} of the {representation} map")
         for i in range(width)
     )
-    position = tuple(
-        Dimension(f"position.{axis}", "m", -ARENA, ARENA, f"next point, {axis}") for axis in "xy"
-    )
+    position = tuple(Dimension(f"position.{axis}", "m", -ARENA, ARENA, f"next point, {axis}") for axis in "xy")
     return Layout(
         name=f"ring/{representation}",
         agent_pos=tuple(Dimension(axis, "m", -ARENA, ARENA, f"current point, {axis}") for axis in "xy"),

@@ -31,14 +31,11 @@ class RotatingRingConfig(DualheadEnvConfig):
     def __post_init__(self) -> None:
         env_id = f"RotatingRing-v{self.n_modes}"
         if env_id not in ENVIRONMENTS:
-            known = [
-                arguments["kwargs"]["n_modes"] for name, arguments in ENVIRONMENTS.items() if "Ring" in name
-            ]
+            known = [arguments["kwargs"]["n_modes"] for name, arguments in ENVIRONMENTS.items() if "Ring" in name]
             raise ValueError(f"env.n_modes={self.n_modes} has no environment, expected one of {known}")
         if self.task not in (None, env_id):
             raise ValueError(
-                f"env.task={self.task!r} is not {env_id}, as env.n_modes={self.n_modes} asks: "
-                "set env.n_modes alone"
+                f"env.task={self.task!r} is not {env_id}, as env.n_modes={self.n_modes} asks: set env.n_modes alone"
             )
         self.task = env_id
         super().__post_init__()

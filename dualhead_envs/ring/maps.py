@@ -111,7 +111,6 @@ def representation_map(name: str) -> RepresentationMap:
     """
     if name not in REPRESENTATION_MAPS:
         raise ValueError(
-            f"representation={name!r} is not one of {sorted(REPRESENTATION_MAPS)} for the ring: "
-            "choose one of these"
+            f"representation={name!r} is not one of {sorted(REPRESENTATION_MAPS)} for the ring: choose one of these"
         )
     return REPRESENTATION_MAPS[name]

@@ -45,13 +45,9 @@ class RingPartition:
         """
         points = np.asarray(path, dtype=np.float64)
         if points.ndim < 2 or points.shape[-1] != 2 or points.shape[-2] == 0:
-            raise ValueError(
-                f"path has shape {points.shape}, expected (..., H, 2): pass positions, one row a step"
-            )
+            raise ValueError(f"path has shape {points.shape}, expected (..., H, 2): pass positions, one row a step")
         if not np.isfinite(points).all():
-            raise ValueError(
-                "path holds NaN or infinite positions: drop or repair these samples before labelling"
-            )
+            raise ValueError("path holds NaN or infinite positions: drop or repair these samples before labelling")
         directions = geometry.mode_directions(condition, self.angles)
         x, y = points[..., 0], points[..., 1]
         peaks = np.stack(

@@ -61,13 +61,9 @@ def draw_ring(path: np.ndarray, condition: np.ndarray, partition: RingPartition)
         _circle(draw, point, 0.022, fill=_PAPER, outline=colour, width=1)
     _circle(draw, points[-1], 0.05, fill=colour, outline=_PAPER, width=2)
 
-    verdict = (
-        f"mode {label}" if label >= 0 else "undecided" if len(path) < geometry.HORIZON else "no valid mode"
-    )
+    verdict = f"mode {label}" if label >= 0 else "undecided" if len(path) < geometry.HORIZON else "no valid mode"
     left, right, top = 0.05 * SIZE, 0.95 * SIZE, 0.05 * SIZE
-    draw.text(
-        (left * _OVERSAMPLE, top * _OVERSAMPLE), f"step {len(path)}/{geometry.HORIZON}", _INK, _font(15), "lm"
-    )
+    draw.text((left * _OVERSAMPLE, top * _OVERSAMPLE), f"step {len(path)}/{geometry.HORIZON}", _INK, _font(15), "lm")
     draw.text((right * _OVERSAMPLE, top * _OVERSAMPLE), verdict, colour, _font(15), "rm")
     return np.asarray(image.resize((SIZE, SIZE), Image.Resampling.BOX)).copy()
 

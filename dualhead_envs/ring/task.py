@@ -93,9 +93,7 @@ class RingTask:
             ValueError: If an option or an entry of the state is unknown, missing or out of range.
         """
         if unknown := set(options or {}) - RESET_OPTIONS:
-            raise ValueError(
-                f"reset option {sorted(unknown)} is unknown, expected 'state': remove or rename it"
-            )
+            raise ValueError(f"reset option {sorted(unknown)} is unknown, expected 'state': remove or rename it")
         state = (options or {}).get("state")
         if state is None:
             return None
@@ -112,9 +110,7 @@ class RingTask:
         low, high = np.asarray(geometry.RADIUS_RANGE, dtype=np.float32)
         radius = condition[..., 2].astype(np.float32)
         if not ((radius >= low) & (radius <= high)).all():
-            raise ValueError(
-                f"options['state'] has radius {radius.tolist()}, expected 0.7 to 1.3 m: check its unit"
-            )
+            raise ValueError(f"options['state'] has radius {radius.tolist()}, expected 0.7 to 1.3 m: check its unit")
         return condition
 
     def inside_arena(self, position: np.ndarray) -> np.ndarray:

@@ -46,9 +46,7 @@ class RotatingRingVectorEnv(gym.vector.VectorEnv):
         **settings: Any,
     ):
         if num_envs < 1 or max_episode_steps < 1:
-            raise ValueError(
-                f"num_envs={num_envs} and max_episode_steps={max_episode_steps} should be at least 1"
-            )
+            raise ValueError(f"num_envs={num_envs} and max_episode_steps={max_episode_steps} should be at least 1")
         self.ring = RingTask(n_modes, render_mode=render_mode, **settings)
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -62,7 +60,7 @@ class RotatingRingVectorEnv(gym.vector.VectorEnv):
         self.task = f"RotatingRing-v{n_modes}"
         self.task_description = self.ring.description
         self._max_episode_steps = min(max_episode_steps, HORIZON)
-        self._rngs: list[np.random.Generator] = []
+        self._rngs: list[np.random.Generator | None] = [None] * num_envs  # made when first needed
         self._condition: np.ndarray | None = None
         self._path = np.zeros((num_envs, HORIZON, 2), dtype=np.float32)
         self._position = np.zeros((num_envs, 2), dtype=np.float32)
@@ -79,22 +77,15 @@ class RotatingRingVectorEnv(gym.vector.VectorEnv):
         """
         seeds = self._seeds_of(seed)
         if len(seeds) != self.num_envs:
-            raise ValueError(
-                f"{len(seeds)} seeds were given for num_envs={self.num_envs}: pass one seed a copy"
-            )
+            raise ValueError(f"{len(seeds)} seeds were given for num_envs={self.num_envs}: pass one seed a copy")
         condition = self.ring.restored_condition(options)
         if condition is not None and condition.shape not in ((3,), (self.num_envs, 3)):
             raise ValueError(
-                f"options['state'] describes {condition.shape[:-1]} environments, "
-                f"expected one or {self.num_envs}"
+                f"options['state'] describes {condition.shape[:-1]} environments, expected one or {self.num_envs}"
             )
-        if not self._rngs and (condition is None or seed is not None):
-            self._rngs = [seeding.np_random(s)[0] for s in seeds]
-        elif seed is not None:
-            self._rngs = [
-                rng if s is None else seeding.np_random(s)[0]
-                for rng, s in zip(self._rngs, seeds, strict=True)
-            ]
+        for i, one_seed in enumerate(seeds):
+            if one_seed is not None:
+                self._rngs[i] = seeding.np_random(one_seed)[0]
         self._condition = np.empty((self.num_envs, 3), dtype=np.float32)
         self._begin(np.ones(self.num_envs, dtype=bool), condition)
         nothing = np.zeros(self.num_envs, dtype=bool)
@@ -113,9 +104,7 @@ class RotatingRingVectorEnv(gym.vector.VectorEnv):
             raise gym.error.ResetNeeded("no episode has begun: call reset() before step()")
         values = np.asarray(actions)
         if values.ndim != 2 or len(values) != self.num_envs:
-            raise ValueError(
-                f"actions have shape {values.shape}, expected one row for each of {self.num_envs} copies"
-            )
+            raise ValueError(f"actions have shape {values.shape}, expected one row for each of {self.num_envs} copies")
         begin = self._ended.copy()
         if begin.any():
             values = np.where(begin[:, None], 0.0, values)
@@ -166,10 +155,9 @@ class RotatingRingVectorEnv(gym.vector.VectorEnv):
         """Start episodes in the copies ``which`` (N,) bool, under drawn conditions unless they are given."""
         assert self._condition is not None
         if condition is None:
-            if not self._rngs:
-                self._rngs = [seeding.np_random()[0] for _ in range(self.num_envs)]
             for i in np.flatnonzero(which):
-                self._condition[i] = self.generator.draw_conditions(self._rngs[i])
+                rng = self._rngs[i] = self._rngs[i] or seeding.np_random()[0]
+                self._condition[i] = self.generator.draw_conditions(rng)
         else:
             self._condition[which] = condition
         self._path[which] = 0.0
