@@ -4,6 +4,7 @@ They live beside the environments because LeRobot's asynchronous workers start w
 import what they unpickle: a configuration's module must bring the ids along.
 """
 
+from dualhead_envs.bypass.lerobot_bypass import BimodalBypassConfig, RotatingBypassConfig
 from dualhead_envs.ring.lerobot_ring import RotatingRingConfig
 
-__all__ = ["RotatingRingConfig"]
+__all__ = ["BimodalBypassConfig", "RotatingBypassConfig", "RotatingRingConfig"]

@@ -17,10 +17,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from dualhead_envs.bypass.physics_engine import mujoco
 import numpy as np
 
 from dualhead_envs.bypass.operational_space import operational_space_torque, rotate
+from dualhead_envs.bypass.physics_engine import mujoco
 from dualhead_envs.bypass.scene import SceneForm
 from dualhead_envs.bypass.simulation import CONTROL_PERIOD, JOINTS, SUBSTEPS, TIMESTEP, PandaSimulation
 
@@ -64,7 +64,7 @@ class JointControl:
 
     def __init__(self, *, feed_forward: bool) -> None:
         self.feed_forward = feed_forward
-        self._goal = np.zeros(JOINTS)
+        self._goal: np.ndarray = np.zeros(JOINTS)
 
     def start(self, simulation: PandaSimulation) -> None:
         """Hold the present angles."""
@@ -116,9 +116,9 @@ class OperationalSpaceControl:
         self.feed_forward = feed_forward
         self._stiffness = np.full(6, TRACKING_STIFFNESS if feed_forward else ROBOSUITE_STIFFNESS)
         self._damping = 2.0 * np.sqrt(self._stiffness)
-        self._posture = np.zeros(JOINTS)
-        self._goal_position = np.zeros(3)
-        self._goal_rotation = np.eye(3)
+        self._posture: np.ndarray = np.zeros(JOINTS)
+        self._goal_position: np.ndarray = np.zeros(3)
+        self._goal_rotation: np.ndarray = np.eye(3)
 
     def start(self, simulation: PandaSimulation) -> None:
         """Hold the present pose, and draw the null space to the present angles."""
@@ -131,9 +131,7 @@ class OperationalSpaceControl:
         rotation = rotation_matrix(action[3:9]) if self.with_rotation else self._goal_rotation
         self.step_to(simulation, action[:3], rotation, float(action[-1]))
 
-    def step_to(
-        self, simulation: PandaSimulation, position: np.ndarray, rotation: np.ndarray, gripper: float
-    ) -> None:
+    def step_to(self, simulation: PandaSimulation, position: np.ndarray, rotation: np.ndarray, gripper: float) -> None:
         """Go to ``position`` (3, m) and ``rotation`` (3, 3) for one control step."""
         velocity = self._goal_velocity(position, rotation)
         model, data, site = simulation.model, simulation.data, simulation.site

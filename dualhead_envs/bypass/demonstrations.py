@@ -89,9 +89,7 @@ def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
     demonstrations = []
     for mode in (0, 1):
         env.reset(options={"state": branch})
-        demonstration = Demonstration(
-            list(shared.agent_pos), list(shared.environment_state), list(shared.gripper)
-        )
+        demonstration = Demonstration(list(shared.agent_pos), list(shared.environment_state), list(shared.gripper))
         _execute(env, commands[mode][branch_step:], start_rotation, demonstration, measure_clearance=True)
         apex = route_apex(env.bypass, initial, mode, amplitude)
         offsets = demonstration.positions()[branch_step:, 1:] - apex[1:3]

@@ -87,7 +87,7 @@ class BypassEnv(gym.Env):
         self.simulation = PandaSimulation(self.bypass, self._control.form)
         self._renderer: Any = None
         self._initial: InitialState | None = None
-        self._context = np.empty(0)
+        self._context: np.ndarray = np.empty(0)
         self._label = -1
         self._strength = 0.0
         self._ended = True
@@ -317,4 +317,4 @@ class BypassEnv(gym.Env):
 
 
 def _rebuild(cls: type[BypassEnv], arguments: dict[str, Any]) -> BypassEnv:
-    return cls(**arguments)  # type: ignore[arg-type]
+    return cls(**arguments)

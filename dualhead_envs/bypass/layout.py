@@ -42,10 +42,7 @@ def _rotation(prefix: str, meaning: str) -> list[Dimension]:
 
 def _agent_pos() -> list[Dimension]:
     return [
-        *(
-            Dimension(f"joint.{i}", "rad", -INF, INF, f"angle of joint {i + 1}")
-            for i in range(PANDA_JOINTS)
-        ),
+        *(Dimension(f"joint.{i}", "rad", -INF, INF, f"angle of joint {i + 1}") for i in range(PANDA_JOINTS)),
         *(
             Dimension(f"joint_velocity.{i}", "rad/s", -INF, INF, f"velocity of joint {i + 1}")
             for i in range(PANDA_JOINTS)

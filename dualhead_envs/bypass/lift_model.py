@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from importlib.metadata import distribution, version
 from pathlib import Path
 
@@ -91,9 +92,7 @@ def lift_mjcf() -> str:
                     "reinstall robosuite==1.4.1"
                 )
             mjcf = target.read_text(encoding="utf-8")
-        try:
+        with suppress(OSError):  # a read-only or full cache costs time, not the environment
             write_atomically(path, mjcf.encode())
-        except OSError:  # a read-only or full cache costs time, not the environment
-            pass
         return mjcf
     return path.read_text(encoding="utf-8")

@@ -149,9 +149,7 @@ def _positions(path: ArrayLike) -> np.ndarray:
     if points.ndim < 2 or points.shape[-1] != 3 or points.shape[-2] == 0:
         raise ValueError(f"path has shape {points.shape}, expected (..., H, 3): pass positions, one row a step")
     if not np.isfinite(points).all():
-        raise ValueError(
-            "path holds NaN or infinite positions: drop or repair these samples before labelling"
-        )
+        raise ValueError("path holds NaN or infinite positions: drop or repair these samples before labelling")
     return points
 
 

@@ -7,13 +7,13 @@ neither on the number of processes nor on interruptions.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from importlib.metadata import version
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ import gymnasium as gym
 import numpy as np
 
 from dualhead_envs.recording.episode import Episode
-from dualhead_envs.recording.shards import ShardStore, sync_folder, write_atomically
+from dualhead_envs.recording.shards import ShardStore, write_atomically
+from dualhead_envs.recording.staging import publish, staging_for
 
 #: Pairs in the paper's data sets (sec:envs): 350/75/75 and 168/36/36.
 DEFAULT_PAIRS = {"BimodalBypass-v2": 500, "RotatingBypass-v3": 240}
@@ -59,7 +60,7 @@ def record_bypass(
 
     Args:
         env_id: ``"BimodalBypass-v2"`` or ``"RotatingBypass-v3"``.
-        root: Folder of the data set; must not exist.
+        root: Folder of the data set; must not hold anything.
         pairs: Number of initial states (500 or 240 by default, as in the paper).
         seed: Seed of the initial states and amplitudes.
         env_kwargs: Arguments under which evaluation shall rebuild the environment (``tau``, ``control``, ...).
@@ -71,43 +72,32 @@ def record_bypass(
 
     Raises:
         ValueError: If the environment or the number of pairs does not fit.
-        FileExistsError: If ``root`` exists, or an unfinished recording with other arguments lies beside it.
+        FileExistsError: If ``root`` holds anything, or an unfinished recording with other arguments lies beside it.
         BlockingIOError: If another process is recording to ``root``.
         OSError: If the disk is full; what was recorded stays staged and a repeated call resumes.
         RuntimeError: If too many initial states are rejected.
     """
-    root = Path(root)
+    root = Path(root).resolve()
     if env_id not in DEFAULT_PAIRS:
         raise ValueError(f"env_id={env_id!r} has no pairs to record: choose one of {sorted(DEFAULT_PAIRS)}")
     pairs = DEFAULT_PAIRS[env_id] if pairs is None else pairs
     sizes = split_sizes(pairs)
-    if root.exists():
-        raise FileExistsError(f"{root} already exists: choose another output folder, or delete it first")
+    if seed < 0 or (workers is not None and workers < 1):
+        raise ValueError(f"seed={seed} and workers={workers} should be at least 0 and 1")
     env_kwargs = dict(env_kwargs or {})
-    env = gym.make(f"dualhead_envs:{env_id}", **env_kwargs).unwrapped  # refuses bad arguments before any work
+    env: Any = gym.make(f"dualhead_envs:{env_id}", **env_kwargs).unwrapped  # refuses bad arguments before any work
     configuration = {
-        "env_id": env_id, "env_kwargs": env_kwargs, "pairs": pairs, "seed": seed, "version": _versions(),
+        "recorder": "bypass/1", "env_id": env_id, "env_kwargs": env_kwargs, "pairs": pairs, "seed": seed,
+        "versions": {name: version(name) for name in ("mujoco", "robosuite")},
     }  # fmt: skip
-    staging = root.with_name(f".{root.name}.recording")
-    try:
-        root.parent.mkdir(parents=True, exist_ok=True)
-        with ShardStore(staging, configuration) as store:
-            _simulate(store, env_id, pairs, seed, workers, progress)
-            _assemble(store, root, env, sizes, env_kwargs, seed)
-            store.discard()
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise OSError(
-            error.errno,
-            f"the disk is full: free some space and repeat the command, what was recorded is kept in {staging}",
-        ) from error
+    with staging_for(root, configuration) as store:
+        _simulate(store, env_id, pairs, seed, workers, progress)
+        _assemble(store, root, env, sizes, env_kwargs, seed)
+        store.discard()
     return root
 
 
-def _simulate(
-    store: ShardStore, env_id: str, pairs: int, seed: int, workers: int | None, progress: bool
-) -> None:
+def _simulate(store: ShardStore, env_id: str, pairs: int, seed: int, workers: int | None, progress: bool) -> None:
     """Attempt initial states, in order, until ``pairs`` of them are accepted; one shard an attempt."""
     from joblib import Parallel, delayed
     from tqdm import tqdm
@@ -117,9 +107,7 @@ def _simulate(
     rejected = len(finished) - accepted
     attempts = (attempt for attempt in count() if _shard(attempt) not in finished)
     pool = Parallel(n_jobs=workers or _cores(), return_as="generator", batch_size=1)
-    with tqdm(
-        total=pairs, initial=accepted, unit="pair", desc=env_id, disable=not progress, smoothing=0.05
-    ) as bar:
+    with tqdm(total=pairs, initial=accepted, unit="pair", desc=env_id, disable=not progress, smoothing=0.05) as bar:
         bar.set_postfix(rejected=rejected)
         # As many as are missing at a time: nothing is simulated in vain, and rejections get another round.
         while accepted < pairs:
@@ -159,8 +147,7 @@ def _assemble(
         start += size
     card = geometry_card(env.bypass.env_id, pairs, rejections)
     write_atomically(folder / "card.json", json.dumps(card, indent=2) + "\n")
-    folder.rename(root)
-    sync_folder(root.parent)
+    publish(folder, root)
 
 
 def _first_pairs(store: ShardStore, number: int) -> tuple[list[tuple[Episode, Episode]], int]:
@@ -222,13 +209,6 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
-def _versions() -> dict[str, str]:
-    """What else decides the numbers: a recording is not continued under another simulator."""
-    from importlib.metadata import version
-
-    return {name: version(name) for name in ("lerobot_policy_dualhead", "mujoco", "robosuite")}
-
-
 def read_card(root: Path | str) -> dict[str, Any]:
     """The geometry card of the data set ``root``.
 
@@ -239,6 +219,3 @@ def read_card(root: Path | str) -> dict[str, Any]:
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist: name a data set that `dualhead record` wrote")
     return json.loads(path.read_text())
-
-
-__all__: Sequence[str] = ("DEFAULT_PAIRS", "read_card", "record_bypass", "split_sizes")

@@ -13,9 +13,8 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from typing import Literal
 
-from dualhead_envs.bypass.physics_engine import mujoco
-
 from dualhead_envs.bypass.lift_model import cache_directory, cache_key, lift_mjcf, write_atomically
+from dualhead_envs.bypass.physics_engine import mujoco
 from dualhead_envs.bypass.task import CUBE_HALF_SIZE, BypassTask
 
 SceneForm = Literal["torque", "servo", "visual"]
@@ -68,9 +67,7 @@ def _add_obstacle_and_goal(root: ElementTree.Element, task: BypassTask) -> None:
 def _servo(root: ElementTree.Element) -> None:
     actuators = root.find("actuator")
     assert actuators is not None
-    for motor, stiffness, inertia in zip(
-        actuators.findall("motor"), SERVO_STIFFNESS, SERVO_INERTIA, strict=True
-    ):
+    for motor, stiffness, inertia in zip(actuators.findall("motor"), SERVO_STIFFNESS, SERVO_INERTIA, strict=True):
         limits = motor.get("ctrlrange", "")
         name, joint = motor.get("name", ""), motor.get("joint", "")
         motor.clear()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dualhead_envs.bypass.physics_engine import mujoco
 import numpy as np
 
+from dualhead_envs.bypass.physics_engine import mujoco
 from dualhead_envs.bypass.scene import OBSTACLE_GEOM, OBSTACLE_TOUCH, SceneForm, load_scene
 from dualhead_envs.bypass.task import CUBE_HALF_SIZE, START_JOINTS, TABLE_HEIGHT, BypassTask
 
