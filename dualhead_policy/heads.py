@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from dualhead_policy.velocity_field import ConditionEncoder, VelocityField
+from dualhead_policy.velocity_field import ConditionEncoder, Modulation, VelocityField
 
 
 def gaussian_preconditioning(time: Tensor, spread: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -71,7 +71,7 @@ class DualheadNetwork(nn.Module):
             }
         )
 
-    def modulation(self, head: str, time: Tensor, context: Tensor) -> Tensor:
+    def modulation(self, head: str, time: Tensor, context: Tensor) -> Modulation:
         """What ``head``'s layers need to know of time and context; see :class:`VelocityField`."""
         return self._field(head).modulation(time, context)
 
@@ -80,7 +80,7 @@ class DualheadNetwork(nn.Module):
         assert isinstance(field, VelocityField)
         return field
 
-    def velocity(self, head: str, x: Tensor, time: Tensor, modulation: Tensor, spread: Tensor) -> Tensor:
+    def velocity(self, head: str, x: Tensor, time: Tensor, modulation: Modulation, spread: Tensor) -> Tensor:
         """v_head(x_t, t, context) for flattened chunks.
 
         Args:

@@ -102,6 +102,13 @@ class DualheadPolicy(PreTrainedPolicy):
                 "a new dualhead policy needs a dataset to learn its action layout from: give --dataset.repo_id "
                 "and --dataset.root, or load a trained policy with --policy.path"
             )
+        given_name = getattr(config.action_feature, "layout_name", None)
+        if given_name is not None and given_name != config.representation.kinematic_map:
+            raise ValueError(
+                f"the environment's layout is {given_name!r}, the policy's is "
+                f"{config.representation.kinematic_map!r}: evaluate in the environment and representation that the "
+                "policy was trained on"
+            )
         width = config.action_feature.shape[0]
         if width != len(config.representation.names):
             raise ValueError(
@@ -188,7 +195,7 @@ class DualheadPolicy(PreTrainedPolicy):
         purpose = "train" if self.training else "validate"
         generator = keyed_generator(config.seed or 0, int(self.training_step), purpose, device=action.device)
         n = len(action)
-        time = torch.rand(n, generator=generator, device=action.device)
+        time = torch.rand(n, generator=generator, device=action.device).to(action.dtype)
         noise = coupled_source_noise((n, config.chunk_size), self.head_dims, config.source_noise_beta, generator)
         context = self.network.encoder(observation)
         if self.tokens is not None and token is not None:
@@ -202,7 +209,7 @@ class DualheadPolicy(PreTrainedPolicy):
         normalized = self.action_scale.normalize(action)
         parts = {}
         for head, part in self.head_slices.items():
-            target, source = normalized[..., part], noise[head]
+            target, source = normalized[..., part], noise[head].to(action.dtype)
             x = interpolate(source, target, time).flatten(1)
             modulation = self.network.modulation(head, time, context)
             velocity = self.network.velocity(head, x, time[:, None], modulation, self._spread(head))
@@ -323,7 +330,7 @@ class DualheadPolicy(PreTrainedPolicy):
             now = torch.tensor(time, device=x.device)
             modulation = self.network.modulation(head, now, context)
             if token is not None:
-                modulation = modulation[rows, token]
+                modulation = [part[rows, token] for part in modulation]
             return self.network.velocity(head, x, now, modulation, spread)
 
         return integrate_euler(velocity, noise, num_steps)

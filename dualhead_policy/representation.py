@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 GROUPS = ("joint", "position", "rotation", "gripper")
 
@@ -50,7 +51,7 @@ class RepresentationLayout:
         """
         names = list(names or [])
         groups = {group: [n for n in names if n.split(".")[0] == group] for group in GROUPS}
-        if not groups["joint"] or not groups["position"] or sum(groups.values(), []) != names:
+        if not groups["joint"] or not groups["position"] or [*chain(*groups.values())] != names:
             shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
             raise ValueError(
                 f"the dataset's action is named [{shown}], not joint.* followed by position.* "

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+#: What the layers of a velocity field need to know of time and context.
+Modulation = list[Tensor]
 #: Width of the bottleneck through which the FiLM modulation is computed.
 FILM_BOTTLENECK = 64
 
@@ -70,7 +72,6 @@ class VelocityField(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(n_layers - 1))
         self.output = nn.Linear(width, chunk_dim)
         side_dim = 2 * n_frequencies + context_dim
-        self.side: nn.Module
         if conditioning == "concat":
             # W [x, t, context] = W_x x + W_s [t, context]: the second product is shared by all samples of a
             # condition. Both halves start as one dense layer of the concatenated input would.
@@ -78,32 +79,32 @@ class VelocityField(nn.Module):
             bound = (chunk_dim + side_dim) ** -0.5
             for parameter in (self.input.weight, self.input.bias, side.weight):
                 nn.init.uniform_(parameter, -bound, bound)
-            self.side = side
+            self.side = nn.ModuleList([side])
         else:
-            self.side = nn.Sequential(
-                nn.Linear(side_dim, FILM_BOTTLENECK),
-                nn.SiLU(),
-                nn.Linear(FILM_BOTTLENECK, 2 * width * n_layers),
-            )
+            self.bottleneck = nn.Sequential(nn.Linear(side_dim, FILM_BOTTLENECK), nn.SiLU())
+            # Scale and shift of every layer, each from a layer of its own: splitting one wide output would
+            # spend a quarter of a training step on gluing its gradient together.
+            self.side = nn.ModuleList(nn.Linear(FILM_BOTTLENECK, width) for _ in range(2 * n_layers))
 
-    def modulation(self, time: Tensor, context: Tensor) -> Tensor:
-        """What the layers need to know of time (...,) and context (..., context_dim); shape (..., M)."""
+    def modulation(self, time: Tensor, context: Tensor) -> Modulation:
+        """What the layers need to know of time (...,) and context (..., context_dim); each (..., width)."""
         features = time_features(time, self.n_frequencies).expand(*context.shape[:-1], -1)
-        return self.side(torch.cat([features, context], dim=-1))
+        side = torch.cat([features, context], dim=-1)
+        if self.conditioning == "film":
+            side = self.bottleneck(side)
+        return [layer(side) for layer in self.side]
 
-    def forward(self, x: Tensor, modulation: Tensor) -> Tensor:
-        """Velocity at the noisy chunk ``x`` (..., H * d), given :meth:`modulation` of matching shape."""
+    def forward(self, x: Tensor, modulation: Modulation) -> Tensor:
+        """Velocity at the noisy chunk ``x`` (..., H * d), given :meth:`modulation`, broadcast against it."""
         hidden = self.input(x)
         if self.conditioning == "concat":
-            hidden = functional.silu(hidden + modulation)
+            hidden = functional.silu(hidden + modulation[0])
             for layer in self.hidden:
                 hidden = functional.silu(layer(hidden))
             return self.output(hidden)
-        width = hidden.shape[-1]
-        per_layer = modulation.split(2 * width, dim=-1)
-        for index, film in enumerate(per_layer):
+        for index in range(len(self.hidden) + 1):
             if index:
                 hidden = self.hidden[index - 1](hidden)
-            scale, shift = film.split(width, dim=-1)
+            scale, shift = modulation[2 * index], modulation[2 * index + 1]
             hidden = functional.silu(torch.addcmul(hidden + shift, hidden, scale))
         return self.output(hidden)

@@ -96,6 +96,11 @@ def _parse() -> TrainPipelineConfig:
         with contextlib.redirect_stderr(complaint):
             return parser.wrap()(configured)()
     except (SystemExit, argparse.ArgumentError, draccus.utils.DecodingError) as error:
+        cause: BaseException = error
+        while cause.__cause__ is not None:
+            cause = cause.__cause__
+        if cause is not error and isinstance(cause, ValueError):
+            raise cause from error  # a sentence of DualheadConfig, which draccus wraps in its own
         text = complaint.getvalue().strip() or str(error)
         reason = text.splitlines()[-1].removeprefix("dualhead train: error: ")
         raise ValueError(

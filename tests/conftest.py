@@ -1,0 +1,39 @@
+"""A small recorded ring and a briefly trained policy, shared by the tests of the policy and the evaluator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def ring_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ring recording with the nullspace representation: 256 training paths, 12 conditions a bank."""
+    from dualhead_envs.recording.ring_recorder import record_ring
+
+    root = tmp_path_factory.mktemp("data") / "ring"
+    return record_ring("RotatingRing-v2", root, episodes=256, conditions=12, env_kwargs={"representation": "nullspace"})
+
+
+@pytest.fixture(scope="session")
+def trained(ring_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output folder of a short training run with an oracle token."""
+    from dualhead_policy.training.arguments import parse_training_config
+    from dualhead_policy.training.trainer import Training
+
+    output = tmp_path_factory.mktemp("runs") / "oracle"
+    cfg = parse_training_config(
+        [
+            f"--dataset.root={ring_data / 'train'}",
+            f"--output_dir={output}",
+            "--steps=30",
+            "--batch_size=64",
+            "--policy.token=oracle",
+            "--policy.device=cpu",
+            "--policy.velocity_width=64",
+        ],
+        None,
+    )
+    Training(cfg).run()
+    return output

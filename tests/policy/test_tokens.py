@@ -1,0 +1,51 @@
+"""Tokens: frequencies, draws, corruption and k-means assignment."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from sklearn.cluster import KMeans
+
+from dualhead_policy.keyed_random import keyed_generator
+from dualhead_policy.tokens import TokenTable
+
+MANY = 50_000
+
+
+def test_replacement_and_null_probabilities_do_what_their_names_say():
+    table = TokenTable(4, 0)
+    clean = torch.zeros(MANY, dtype=torch.int64)
+    noisy = table.corrupt(clean, replacement_prob=0.2, null_prob=0.1, generator=keyed_generator(0))
+    share = torch.bincount(noisy, minlength=5) / MANY
+    # A replacement is uniform over all tokens, the original among them.
+    assert share.numpy() == pytest.approx([0.7 + 0.05, 0.05, 0.05, 0.05, 0.1], abs=0.006)
+    assert table.one_hot(torch.tensor([2, 4])).tolist() == [[0, 0, 1, 0], [0, 0, 0, 0]]
+
+
+def test_without_corruption_tokens_pass_unchanged():
+    token = torch.arange(4)
+    assert torch.equal(TokenTable(4, 0).corrupt(token, replacement_prob=0, null_prob=0, generator=None), token)
+
+
+def test_marginal_draws_follow_the_training_frequencies():
+    table = TokenTable(2, 0).fit_marginal(torch.tensor([0] * 8 + [1] * 2))
+    drawn = table.draw((MANY,), "marginal", keyed_generator(1))
+    assert drawn.float().mean().item() == pytest.approx(0.2, abs=0.01)
+    uniform = table.draw((MANY,), "uniform", keyed_generator(1))
+    assert uniform.float().mean().item() == pytest.approx(0.5, abs=0.01)
+
+
+def test_window_tokens_are_the_clusters_of_scikit_learn():
+    rng = np.random.default_rng(0)
+    windows = np.concatenate([rng.normal(m, 0.1, (200, 32)) for m in (-1, 0, 1)]).astype(np.float32)
+    table = TokenTable(3, 32).fit_windows(windows, seed=0)
+    ours = table.assign(torch.from_numpy(windows).reshape(-1, 16, 2)).numpy()
+    theirs = KMeans(3, n_init=4, random_state=0).fit_predict(windows)
+    assert len({(a, b) for a, b in zip(ours, theirs, strict=True)}) == 3
+    assert table.marginal.numpy() == pytest.approx([1 / 3] * 3)
+
+
+def test_too_few_distinct_windows_are_refused():
+    with pytest.raises(ValueError, match=r"fewer distinct windows than policy\.n_tokens=4"):
+        TokenTable(4, 32).fit_windows(np.zeros((100, 32), dtype=np.float32), seed=0)
