@@ -24,6 +24,7 @@ from dualhead_eval.inference import (
     Equivalence,
     Interval,
     bootstrap_conditions,
+    bootstrap_p_value,
     equivalence_test,
 )
 from dualhead_eval.occupancy import Occupancy, occupancy
@@ -60,6 +61,7 @@ class RunSummary:
         tv_target_q, tv_target_p: Total variation between each pooled marginal and the data's mode
             frequencies; NaN without a target.
         intervals: 95% condition-bootstrap intervals by name (obs, bl, delta, capacity, rho, valid_rate, ...).
+        p_value: Two-sided bootstrap p-value of rho = 0, not adjusted for the number of runs.
         equivalence: TOST of rho against zero.
         occupancy: Site in the attainable region.
         reason: Why rho is undefined; empty where it is defined.
@@ -96,6 +98,7 @@ class RunSummary:
     tv_target_q: float
     tv_target_p: float
     intervals: dict[str, Interval]
+    p_value: float
     equivalence: Equivalence
     occupancy: Occupancy
     reason: str
@@ -173,6 +176,7 @@ def summarise_table(
         tv_target_q=total_variation(pooled.q, target),
         tv_target_p=total_variation(pooled.p, target),
         intervals={name: resamples.interval(name, 0.95) for name in resamples.names},
+        p_value=bootstrap_p_value(resamples, "rho"),
         equivalence=equivalence_test(resamples),
         occupancy=occupancy(run["rho"], run["capacity"], sums.n_modes),
         reason=_reason(run, n_both_valid),

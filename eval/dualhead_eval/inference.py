@@ -69,6 +69,19 @@ class Resamples:
         return Interval(float(low), float(high), level, undefined)
 
 
+def bootstrap_p_value(resamples: Resamples, name: str) -> float:
+    """Two-sided bootstrap p-value of a statistic against zero; NaN under the interval's rule of undefinedness.
+
+    Twice the smaller tail of the replicates beyond zero, the observed sample counted as one replicate.
+    """
+    replicates = resamples.values[name]
+    defined = replicates[np.isfinite(replicates)]
+    if replicates.size - defined.size > UNDEFINED_LIMIT * replicates.size:
+        return float("nan")
+    beyond = min(int((defined <= 0).sum()), int((defined >= 0).sum()))
+    return min(1.0, 2 * (1 + beyond) / (1 + defined.size))
+
+
 def resample_weights(n: int, draws: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """How often each of ``n`` units occurs in each of ``draws`` bootstrap samples, ``(draws, n)``."""
     chosen = rng.integers(0, n, size=(draws, n))

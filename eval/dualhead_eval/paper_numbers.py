@@ -88,7 +88,7 @@ class Comparison:
         interval: Our 95% interval over conditions, if there is one.
         paper: The paper's value; figures printed as a range are left out.
         n: Runs behind the paper's value.
-        note: The paper's remark on its value.
+        note: The paper's remark on its value, or why ours cannot be read.
     """
 
     label: str
@@ -118,7 +118,8 @@ def compare_with_paper(gates: Sequence[Gate], rows: Iterable[Row]) -> list[Compa
     first = [row for row in rows if row.first_pair]
     comparisons = []
     for gate, row in zip(gates, first, strict=True):
-        name = mechanism_of(gate).paper_row
+        at_reference = (row.summary.tau, row.summary.nfe) == (gate.reference_tau, gate.reference_nfe)
+        name = mechanism_of(gate).paper_row if at_reference else ""
         printed = paper_row(name)
         for ours, theirs in QUANTITIES.items():
             if theirs not in printed:
@@ -128,8 +129,9 @@ def compare_with_paper(gates: Sequence[Gate], rows: Iterable[Row]) -> list[Compa
             if figure.value is None or mine is None:
                 continue
             interval = row.summary.intervals.get(ours)
+            note = figure.note if row.readable else row.reading
             comparisons.append(
-                Comparison(gate.label, name, figure.source, ours, mine, interval, figure.value, figure.n, figure.note)
+                Comparison(gate.label, name, figure.source, ours, mine, interval, figure.value, figure.n, note)
             )
     return comparisons
 

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
@@ -72,6 +73,11 @@ class Row:
             return "not estimable: no valid pair"
         if summary.reason:
             return "collapsed: a head chose one mode in every condition"
+        test = summary.equivalence
+        if summary.occupancy is Occupancy.FLOOR and not test.equivalent:
+            return f"uncoordinated within ±{test.width:.1%} (I)"
+        if 0.0 in summary.intervals["rho"] and not test.equivalent:
+            return f"unclear: the sign of {RHO} is not established"
         return f"{summary.occupancy.word} ({summary.occupancy.site})"
 
 
@@ -94,38 +100,45 @@ def report_rows(gates: Iterable[Gate], *, tau: float | None = None, nfe: int | N
 def render_table(gates: Sequence[Gate] | Sequence[Row], *, explain: bool = True) -> Group:
     """A rich table of the runs, with a line per column underneath.
 
+    What all runs share (K, threshold, integration steps) stands in the title instead of in columns.
+
     Args:
         gates: Gates, or rows from :func:`report_rows`.
         explain: Print what each column means.
     """
     rows = [item for item in gates if isinstance(item, Row)]
     rows += report_rows(item for item in gates if isinstance(item, Gate))
-    several_heads = len({row.summary.heads for row in rows}) > 1
-    table = Table(title="Do the two heads choose modes together?", title_justify="left", pad_edge=False)
-    table.add_column("run", overflow="fold", min_width=12)
-    if several_heads:
-        table.add_column("heads", overflow="fold")
-    for name in ("K", "τ", "NFE", "valid", "C", "Δ"):
+    point = {
+        "K": [str(row.summary.n_modes) for row in rows],
+        "τ": [f"{row.summary.tau:g}" for row in rows],
+        "NFE": [str(row.summary.nfe) for row in rows],
+        "heads": [" / ".join(row.summary.heads) for row in rows],
+    }
+    varying = {name: cells for name, cells in point.items() if len(set(cells)) > 1}
+    shared = ", ".join(f"{name} = {cells[0]}" for name, cells in point.items() if cells and name not in varying)
+    table = Table(
+        title="Do the heads choose modes together?" + (f"\n({shared})" if shared else ""),
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    table.add_column("run", overflow="fold", min_width=11)
+    for name in varying:
+        table.add_column(name, justify="right", overflow="fold")
+    for name in ("valid", "C", "Δ"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column(f"{RHO} [95% interval]", justify="right", no_wrap=True)
-    table.add_column(f"{RHO} = 0?", no_wrap=True)
-    table.add_column("reading", overflow="fold", min_width=16)
-    for row in rows:
+    # No spaces inside an interval: on a narrow terminal it moves to a second line as a whole.
+    table.add_column(f"{RHO} [95%]", justify="right", min_width=15)
+    table.add_column(f"{RHO} = 0?", min_width=7)
+    table.add_column("reading", overflow="fold", min_width=12)
+    for index, row in enumerate(rows):
         s = row.summary
-        cells: list[str | Text] = [s.label]
-        if several_heads:
-            cells.append(" ↔ ".join(s.heads))
-        cells += [str(s.n_modes), f"{s.tau:g}", str(s.nfe), f"{s.valid_rate:.3f}"]
-        cells += [
-            _number(s.capacity, ".4f"),
-            _number(s.delta, "+.4f"),
-            _with_interval(s.rho, s.intervals["rho"]),
-        ]
+        cells: list[str | Text] = [s.label, *(column[index] for column in varying.values()), f"{s.valid_rate:.3f}"]
+        cells += [_number(s.capacity, ".4f"), _number(s.delta, "+.4f"), _with_interval(s.rho, s.intervals["rho"])]
         cells += [_equivalence(s), Text(row.reading, style="" if row.readable else "bold yellow")]
         table.add_row(*cells)
-    if not explain:
-        return Group(table)
-    return Group(table, "", _explanation())
+    return Group(table, explanation()) if explain else Group(table)
 
 
 def report_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
@@ -146,7 +159,7 @@ def report_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
 
 def render_card(card: Mapping[str, Any], title: str = "Geometry card") -> Table:
     """A dataset's geometry card as a two-column table; nested objects become dotted names."""
-    table = Table(title=title, title_justify="left", pad_edge=False)
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("quantity")
     table.add_column("value", justify="right", overflow="fold")
     for name, value in _flatten(card):
@@ -154,7 +167,8 @@ def render_card(card: Mapping[str, Any], title: str = "Geometry card") -> Table:
     return table
 
 
-def _explanation() -> Table:
+def explanation() -> Table:
+    """What each column and each reading means."""
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
@@ -174,14 +188,14 @@ def _with_interval(value: float, interval: Interval) -> str:
         return "undefined"
     if interval.low != interval.low:
         return f"{value:+.1%} [undefined]"
-    return f"{value:+.1%} [{interval.low:+.1%}, {interval.high:+.1%}]"
+    return f"{value:+.1%} [{100 * interval.low:+.1f},{100 * interval.high:+.1f}]"
 
 
 def _equivalence(summary: RunSummary) -> str:
     test = summary.equivalence
     if test.equivalent is None:
-        return "undefined"
-    return f"{'yes' if test.equivalent else 'no'} (±{test.width:.1%})"
+        return "undef."
+    return f"{'yes' if test.equivalent else 'no'} ±{test.width:.1%}"
 
 
 def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:

@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
 
     from dualhead_eval.atomic_text import write_text
     from dualhead_eval.gate import read_gate
-    from dualhead_eval.report import render_card, render_table, report_json, report_rows
+    from dualhead_eval.report import explanation, render_card, render_table, report_json, report_rows
+    from dualhead_eval.report_tables import render_families
 
     console = Console()
     if not console.is_terminal:
@@ -80,7 +81,11 @@ def run(args: argparse.Namespace) -> int:
             raise ValueError("no gate file was given, expected at least one for the outputs asked for: add GATE files")
         return 0
     rows = report_rows(gates, tau=args.tau, nfe=args.nfe)
-    console.print(render_table(rows))
+    console.print(render_table(rows, explain=False))
+    families = render_families(gates, rows)
+    if families is not None:
+        console.print(families)
+    console.print(explanation())
     if args.json is not None:
         write_text(args.json, json.dumps(report_json(rows), indent=2, allow_nan=False) + "\n")
         console.print(f"numbers written to {args.json}")
@@ -90,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         draw_region([row.summary for row in rows], args.figure, normalised=args.normalised)
         console.print(f"attainable region drawn in {args.figure}")
     if args.paper:
-        from dualhead_eval.paper_tables import render_claims, render_comparisons
+        from dualhead_eval.report_tables import render_claims, render_comparisons
 
         console.print()
         console.print(render_comparisons(gates, rows))

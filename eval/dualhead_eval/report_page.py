@@ -7,7 +7,10 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
+import numpy as np
+
 from dualhead_eval.claims import Grade
+from dualhead_eval.families import family_rows
 from dualhead_eval.gate import Gate
 from dualhead_eval.head_agreement import all_heads_agreement
 from dualhead_eval.inference import Equivalence
@@ -15,6 +18,7 @@ from dualhead_eval.paper_numbers import Comparison
 from dualhead_eval.report import EXPLANATION, RHO, Row
 from dualhead_eval.report_figures import CAPTIONS
 from dualhead_eval.residual_strata import summarise_strata
+from dualhead_eval.seed_inference import benjamini_hochberg
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em;
@@ -39,7 +43,8 @@ def report_page(
 ) -> str:
     """The page as one string; images are embedded, nothing is fetched."""
     sections = [
-        ("Do the two heads choose modes together?", _effects(rows) + _explanation()),
+        ("Do the heads choose modes together?", _effects(rows) + _explanation()),
+        ("Means over seeds", _families(gates, rows)),
         ("Figures", _figures(figures)),
         ("The residual between the two decodings", _residuals(gates)),
         ("More than two heads", _all_heads(gates)),
@@ -92,9 +97,14 @@ def _equivalence(test: Equivalence) -> str:
 
 def _effects(rows: Sequence[Row]) -> str:
     head = ["run", "heads", "K", "tau", "NFE", "valid", "obs", "BL", "Delta", "95%", "C", "C tight", RHO, "95%"]
-    head += [f"|{RHO}| < 2%?", "pooled Delta", "Simpson", "TV to data A/B", "reading"]
+    head += [f"|{RHO}| < 2%?", f"p ({RHO} = 0), BH", "pooled Delta", "Simpson", "TV to data A/B", "reading"]
+    p_values = np.array([row.summary.p_value for row in rows])
+    # One family of tests: every run on the page whose rho is defined.
+    defined = np.isfinite(p_values)
+    if defined.any():
+        p_values[defined] = benjamini_hochberg(p_values[defined])
     lines = []
-    for row in rows:
+    for row, p_value in zip(rows, p_values.tolist(), strict=True):
         s = row.summary
         delta, rho, test = s.intervals["delta"], s.intervals["rho"], s.equivalence
         lines.append(
@@ -114,6 +124,7 @@ def _effects(rows: Sequence[Row]) -> str:
                 _figure(s.rho, "+.1%"),
                 _range(rho.low, rho.high, "+.1%"),
                 _equivalence(test),
+                _figure(p_value, ".2g"),
                 _figure(s.delta_pooled, "+.4f"),
                 _figure(s.simpson, "+.4f"),
                 f"{s.tv_target_q:.3f} / {s.tv_target_p:.3f}" if s.tv_target_q == s.tv_target_q else "no target",
@@ -121,6 +132,41 @@ def _effects(rows: Sequence[Row]) -> str:
             ]
         )
     return _table(head, lines, text=(0, 1, len(head) - 1))
+
+
+def _families(gates: Sequence[Gate], rows: Sequence[Row]) -> str:
+    head = [
+        "family",
+        "seeds",
+        "valid",
+        "C",
+        "Delta",
+        "sd",
+        RHO,
+        "sd",
+        "95% (t over seeds)",
+        f"|{RHO}| < 2%?",
+        "reading",
+    ]
+    lines = []
+    for family in family_rows(gates, rows):
+        s, interval, test = family.summary, family.rho_interval, family.equivalence
+        lines.append(
+            [
+                s.label,
+                str(len(s.runs)),
+                _figure(s.mean["valid_rate"], ".4f"),
+                _figure(s.mean["capacity"], ".4f"),
+                _figure(s.mean["delta"], "+.4f"),
+                _figure(s.sd["delta"], ".4f"),
+                _figure(s.mean["rho"], "+.1%"),
+                _figure(s.sd["rho"], ".2%"),
+                "undefined" if interval is None else _range(interval.low, interval.high, "+.1%"),
+                "undefined" if test is None else _equivalence(test),
+                f"{s.occupancy.word} ({s.occupancy.site})",
+            ]
+        )
+    return _table(head, lines, text=(0, len(head) - 1)) if lines else ""
 
 
 def _explanation() -> str:

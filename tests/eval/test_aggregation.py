@@ -192,3 +192,11 @@ def test_a_family_is_the_mean_over_its_seeds():
 def test_tables_of_another_shape_are_refused(shape):
     with pytest.raises(ValueError, match="expected"):
         summarise_table(np.ones(shape, dtype=int))
+
+
+def test_p_values_follow_the_intervals():
+    independent = summarise_table(sampled_table(5, conditions=75, pairs=640, couple=0))
+    coupled = summarise_table(sampled_table(5, conditions=75, pairs=640, couple=0.1))
+    assert (independent.p_value > 0.05) == (0 in independent.intervals["rho"])
+    assert coupled.p_value == pytest.approx(2 / 2001)
+    assert np.isnan(summarise_table(np.pad(np.full((4, 1, 1), 9), ((0, 0), (0, 2), (0, 2)))).p_value)

@@ -1,5 +1,6 @@
 """Gate files come back as they were written, or are refused in one sentence."""
 
+import hashlib
 import json
 from dataclasses import replace
 
@@ -149,3 +150,53 @@ def test_operating_points_that_were_not_scanned_are_named(gate):
         gate.table(0.7)
     with pytest.raises(KeyError, match="nfe=5 was not evaluated"):
         gate.table(nfe=5)
+
+
+def test_no_damaged_file_escapes_as_anything_but_a_sentence(gate, tmp_path):
+    """Any one byte changed: refused in one sentence, or the very same gate (a blank between tokens)."""
+    whole = write_gate(gate, tmp_path / "run.json").read_bytes()
+    rng = np.random.default_rng(0)
+    path = tmp_path / "damaged.json"
+    for where in rng.integers(0, len(whole), size=150):
+        damaged = bytearray(whole)
+        damaged[where] = rng.integers(0, 256)
+        path.write_bytes(damaged)
+        sentence = ""
+        try:
+            survivor = gate_digest(read_gate(path))
+        except ValueError as error:
+            survivor, sentence = gate_digest(gate), str(error)
+        assert survivor == gate_digest(gate)
+        assert "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"counts": {"shape": [1], "values": [2**70]}},
+        {"counts": {"shape": [1], "values": [1.5]}},
+        {"counts": {"shape": [3], "values": [1]}},
+        {"counts": None},
+        {"heads": None},
+        {"strata": {"position": {}}},
+        {"target_probabilities": [0.1]},
+    ],
+)
+def test_content_that_never_was_a_gate_is_refused_even_with_a_right_checksum(gate, change, tmp_path):
+    path = write_gate(gate, tmp_path / "run.json")
+    content = json.loads(path.read_text())["content"] | change
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    digest = hashlib.sha256(canonical.encode()).hexdigest()
+    path.write_text(json.dumps({"format": FORMAT, "sha256": digest, "content": content}))
+    with pytest.raises(ValueError, match="inconsistent gate"):
+        read_gate(path)
+
+
+def test_numbers_that_json_lacks_are_refused(gate, tmp_path):
+    path = write_gate(gate, tmp_path / "run.json")
+    path.write_text(path.read_text().replace('"reference_tau":0.5', '"reference_tau":NaN'))
+    with pytest.raises(ValueError, match="changed after"):
+        read_gate(path)
+    path.write_text("[" * 100_000)
+    with pytest.raises(ValueError, match="not a complete gate"):
+        read_gate(path)

@@ -1,14 +1,17 @@
 """Figures, the page, the paper's numbers beside ours, and its claims graded."""
 
 import argparse
+import io
 import re
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from dualhead_eval.aggregation import summarise_run
 from dualhead_eval.claims import grade_claims
 from dualhead_eval.counts import joint_table
+from dualhead_eval.families import family_rows
 from dualhead_eval.forest_figure import forest_figure
 from dualhead_eval.gate import Gate, write_gate
 from dualhead_eval.head_agreement import all_heads_agreement
@@ -18,6 +21,7 @@ from dualhead_eval.paper_numbers import compare_with_paper, paper_numbers, paper
 from dualhead_eval.report import report_rows
 from dualhead_eval.report_command import add_arguments, run
 from dualhead_eval.report_figures import CAPTIONS, report_figures
+from dualhead_eval.report_tables import render_families
 from dualhead_eval.residual_strata import residual_strata
 from dualhead_eval.sensitivity_figure import sensitivity_figure
 from dualhead_eval.strata_figure import strata_figure
@@ -232,3 +236,24 @@ def test_robot_claims_follow_their_criteria():
     assert grades["An auxiliary"].grade == "does not hold"
     costless = robot("G", 0.5, source_noise_beta=0, consistency_weight=3, valid=0.9)
     assert by_claim(grade_claims([independent, costless]))["Endpoint consistency"].grade == "inconclusive"
+
+
+def test_seeds_of_one_mechanism_are_a_family_and_other_settings_are_not():
+    seeds = [make_gate(f"noise seed {i}", 0.6, seed=i, config={"source_noise_beta": 0, "seed": i}) for i in range(4)]
+    other = make_gate("noise longer", 0.6, seed=9, config={"source_noise_beta": 0, "seed": 0}, training_step=10)
+    (family,) = family_rows([*seeds, other], report_rows([*seeds, other]))
+    assert family.summary.label == "noise"
+    assert [run.label for run in family.summary.runs] == [gate.label for gate in seeds]
+    assert family.summary.mean["rho"] in family.rho_interval
+    assert family.equivalence.equivalent is False
+    console = Console(width=140, record=True, file=io.StringIO())
+    console.print(render_families(seeds, report_rows(seeds)))
+    assert "the seed is the unit" in console.export_text()
+    assert render_families([other], report_rows([other])) is None
+    under_trained = [make_gate(f"x {i}", 0.6, seed=i, valid=0.5) for i in range(2)]
+    assert family_rows(under_trained, report_rows(under_trained)) == []
+
+
+def test_numbers_at_another_threshold_are_not_put_beside_the_papers():
+    gate = ring("polar noise", 0.67, "polar")
+    assert compare_with_paper([gate], report_rows([gate], tau=0.4)) == []
