@@ -97,12 +97,12 @@ def _parse() -> TrainPipelineConfig:
             return parser.wrap()(configured)()
     except (SystemExit, argparse.ArgumentError, draccus.utils.DecodingError) as error:
         cause: BaseException = error
-        while cause.__cause__ is not None:
-            cause = cause.__cause__
-        if cause is not error and isinstance(cause, ValueError):
+        while (deeper := cause.__cause__ or cause.__context__) is not None:
+            cause = deeper
+        if isinstance(cause, ValueError) and str(cause).startswith("policy."):
             raise cause from error  # a sentence of DualheadConfig, which draccus wraps in its own
         text = complaint.getvalue().strip() or str(error)
-        reason = text.splitlines()[-1].removeprefix("dualhead train: error: ")
+        reason = text.splitlines()[-1].strip().removeprefix("dualhead train: error: ")
         raise ValueError(
             f"{reason}: `dualhead train` takes the flags of lerobot-train, and every field of DualheadConfig as "
             "--policy.FIELD=VALUE"
