@@ -14,7 +14,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dualhead_eval.certificate import VERDICTS, CoordinationCertificate
+from dualhead_eval.certificate import CoordinationCertificate
+from dualhead_eval.certificate_reading import VERDICTS
 from dualhead_eval.residuals import position_residual_mm
 
 #: Both heads' samples for one observation, as positions in metres: two arrays ``(n, H, d)``.
@@ -125,7 +126,7 @@ class CertificateWrapper(gym.Wrapper):
 def certificate_columns(info: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """One frame's values of :data:`CERTIFICATE_FEATURES` from ``info["coordination"]``.
 
-    The verdict is stored as its index in :data:`dualhead_eval.certificate.VERDICTS`.
+    The verdict is stored as its index in :data:`dualhead_eval.certificate_reading.VERDICTS`.
     """
     report = info["coordination"]
     columns = {

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from dualhead_eval.certificate import VERDICTS, CoordinationCertificate
+from dualhead_eval.certificate import CoordinationCertificate
+from dualhead_eval.certificate_reading import VERDICTS
 from dualhead_eval.confidence_sequence import RunningMean, boundary, log_mixture, mixture_rho
 from dualhead_eval.counts import joint_counts
 from dualhead_eval.effects import coordination

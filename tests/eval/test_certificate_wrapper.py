@@ -4,7 +4,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dualhead_eval.certificate import VERDICTS, CoordinationCertificate
+from dualhead_eval.certificate import CoordinationCertificate
+from dualhead_eval.certificate_reading import VERDICTS
 from dualhead_eval.certificate_wrapper import CERTIFICATE_FEATURES, CertificateWrapper, certificate_columns
 
 
