@@ -8,6 +8,7 @@ members' mode labels like any residual (sec:crn, sec:vfd): its cross-mode share 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +34,11 @@ def action_l2(samples: ArrayLike) -> NDArray[np.float64]:
     x = np.asarray(samples, dtype=np.float64)
     if x.ndim < 3 or len(x) < 2:
         raise ValueError(f"samples have shape {x.shape}, expected (members, ..., H, d) with two members or more")
-    return np.linalg.norm(x[:, None] - x[None], axis=-1).mean(axis=-1)
+    # One pair at a time: all at once would need M^2 copies of the samples.
+    distances = np.zeros((len(x), *x.shape[:-2]))
+    for i, j in combinations(range(len(x)), 2):
+        distances[i, j] = distances[j, i] = np.linalg.norm(x[i] - x[j], axis=-1).mean(axis=-1)
+    return distances
 
 
 def time_weight(s: float) -> float:

@@ -46,6 +46,27 @@ def split_residual_mm(
     return lateral, orthogonal
 
 
+def mode_direction(paths: ArrayLike) -> NDArray[np.float64]:
+    """The direction along which a condition's modes differ most: the lateral one.
+
+    Args:
+        paths: One demonstration (or mean path) a mode in metres, ``(..., K, H, d)``.
+
+    Returns:
+        Unit vectors ``(..., d)``, up to sign: the first principal axis of the modes' deviations from their
+        common path; with two modes and a straight separation, the line from one to the other.
+
+    Raises:
+        ValueError: If fewer than two modes are given.
+    """
+    x = np.asarray(paths, dtype=np.float64)
+    if x.ndim < 3 or x.shape[-3] < 2:
+        raise ValueError(f"paths have shape {x.shape}, expected (..., K, H, d) with two modes or more")
+    deviations = x - x.mean(axis=-3, keepdims=True)
+    flat = deviations.reshape(*x.shape[:-3], -1, x.shape[-1])
+    return np.linalg.eigh(np.swapaxes(flat, -1, -2) @ flat)[1][..., -1]
+
+
 def rotation_residual_deg(rotation_a: ArrayLike, rotation_b: ArrayLike) -> NDArray[np.float64]:
     """Mean over the window of the geodesic angle between 6-D rotations ``(..., H, 6)``, in degrees ``(...)``.
 

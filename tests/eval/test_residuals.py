@@ -11,6 +11,7 @@ from sklearn.metrics import roc_auc_score
 from dualhead_eval.ensembles import action_l2, contamination, time_weight, vfd_score
 from dualhead_eval.residual_strata import ResidualStrata, residual_strata, summarise_strata
 from dualhead_eval.residuals import (
+    mode_direction,
     nearest_yaw_labels,
     position_residual_mm,
     rotation_matrices,
@@ -38,6 +39,18 @@ def test_lateral_and_orthogonal_parts_are_pythagorean_for_single_steps(seed):
     np.testing.assert_allclose(np.hypot(lateral, orthogonal), position_residual_mm(a, b))
     with pytest.raises(ValueError, match="zero"):
         split_residual_mm(a, b, np.zeros(3))
+
+
+@given(st.integers(0, 10**6))
+def test_the_mode_direction_is_the_line_between_two_modes(seed):
+    rng = np.random.default_rng(seed)
+    apart = rng.normal(size=3)
+    common = rng.normal(size=(16, 3))
+    rise = np.sin(np.pi * np.arange(16) / 15)[:, None]
+    direction = mode_direction(np.stack([common + rise * apart, common - rise * apart]))
+    assert abs(direction @ apart) == pytest.approx(np.linalg.norm(apart))
+    with pytest.raises(ValueError, match="two modes"):
+        mode_direction(common[None])
 
 
 @settings(max_examples=50)
