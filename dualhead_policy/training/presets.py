@@ -7,7 +7,7 @@ PRESETS: dict[str, dict[str, str]] = {
     # The demo and tests: minutes on two cores.
     "smoke": {"steps": "3000", "batch_size": "128", "save_freq": "1000"},
     # Large enough to hold trained networks against the exact reference.
-    "full": {"steps": "30000", "batch_size": "128", "save_freq": "5000"},
+    "full": {"steps": "20000", "batch_size": "128", "save_freq": "5000"},
     # sec:models: 50,000 steps of batch 128 at 3e-4, the network as the paper states it.
     "paper": {
         "steps": "50000",

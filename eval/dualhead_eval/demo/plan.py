@@ -72,8 +72,8 @@ class Plan:
 
 
 RING_BUDGETS = {
-    "smoke": Budget(episodes=10_000, steps=4_000, save_freq=1_000, pairs=256),
-    "full": Budget(episodes=50_000, steps=30_000, save_freq=5_000, pairs=1_280),
+    "smoke": Budget(episodes=10_000, steps=3_000, save_freq=1_000, pairs=256),
+    "full": Budget(episodes=50_000, steps=20_000, save_freq=5_000, pairs=1_280),
 }
 
 RING_PLAN = Plan(
