@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
+from functools import partial
 
+import gymnasium as gym
 import torch
 from lerobot.configs import FeatureType, PipelineFeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
@@ -106,6 +108,22 @@ class DualheadEnvConfig(EnvConfig):
         if self.task is None:
             raise ValueError(f"env.type={self.type} has no env.task: set it to the Gymnasium id to make")
         return self.task
+
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
+        """LeRobot's vector environment; its workers unpickle a call of ``gym.make``, not this configuration.
+
+        Unpickling the configuration would import LeRobot in every worker, seconds each.
+        """
+        make = partial(
+            gym.make, f"dualhead_envs:{self.gym_id}", disable_env_checker=self.disable_env_checker, **self.gym_kwargs
+        )
+        autoreset = gym.vector.AutoresetMode.SAME_STEP
+        vector: gym.vector.VectorEnv
+        if use_async_envs and n_envs > 1:
+            vector = gym.vector.AsyncVectorEnv([make] * n_envs, context="forkserver", autoreset_mode=autoreset)
+        else:
+            vector = gym.vector.SyncVectorEnv([make] * n_envs, autoreset_mode=autoreset)
+        return {self.type: {0: vector}}
 
     def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
         """Observations pass unchanged; of the dual action vector the controlled part is executed."""
