@@ -65,10 +65,13 @@ class JointControl:
     def __init__(self, *, feed_forward: bool) -> None:
         self.feed_forward = feed_forward
         self._goal: np.ndarray = np.zeros(JOINTS)
+        self._lead: np.ndarray = np.zeros(JOINTS)
 
     def start(self, simulation: PandaSimulation) -> None:
         """Hold the present angles."""
         self._goal = simulation.joints.copy()
+        model = simulation.model
+        self._lead = -model.actuator_biasprm[:JOINTS, 2] / model.actuator_gainprm[:JOINTS, 0]
 
     def step(self, simulation: PandaSimulation, action: np.ndarray) -> None:
         """Execute ``action`` (8,)."""
@@ -76,10 +79,9 @@ class JointControl:
         target, command = action[:JOINTS], float(action[JOINTS])
         control = data.ctrl[:JOINTS]
         travel = (target - self._goal) / SUBSTEPS
-        moves = self.feed_forward and np.abs(travel).max() <= FASTEST_JOINT * TIMESTEP
+        moves = self.feed_forward and 0.0 < np.abs(travel).max() <= FASTEST_JOINT * TIMESTEP
         if moves:
-            lead = -model.actuator_biasprm[:JOINTS, 2] / model.actuator_gainprm[:JOINTS, 0]
-            control[:] = self._goal + lead / TIMESTEP * travel
+            control[:] = self._goal + self._lead / TIMESTEP * travel
         else:
             control[:] = target
         for _ in range(SUBSTEPS):

@@ -116,7 +116,8 @@ class BypassEnv(gym.Env):
             ValueError: If ``options`` holds anything but a valid ``state`` of this environment.
         """
         super().reset(seed=seed)
-        options = dict(options or {})
+        # LeRobot marks its resets with options of its own.
+        options = {key: value for key, value in (options or {}).items() if not key.startswith("lerobot_")}
         state = options.pop("state", None)
         if options:
             raise ValueError(f"reset options {sorted(options)} do not exist: the only option is 'state'")
@@ -288,9 +289,9 @@ class BypassEnv(gym.Env):
 
     def _follow_mode(self) -> None:
         # The partition's strength is a peak over the path: it can be followed one point at a time.
-        label, strength = self.mode_partition.score(self.simulation.position[None], self._context)
+        label, strength = self.mode_partition.score_point(self.simulation.position, self._context)
         if strength > self._strength:
-            self._label, self._strength = int(label), float(strength)
+            self._label, self._strength = label, strength
 
     def _info(self, is_success: bool) -> dict[str, Any]:
         mode = self._label if self._strength >= self.mode_partition.tau else -1

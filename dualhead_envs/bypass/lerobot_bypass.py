@@ -25,6 +25,7 @@ class BypassConfig(DualheadEnvConfig):
     ``env.camera`` and ``env.image_size`` (pixels, square) are those of the videos.
     """
 
+    task: str | None = None
     feed_forward: bool = True
     tau: float = BIMODAL_TAU
     camera: str | None = None

@@ -34,6 +34,10 @@ class BypassPartition:
         """Labels (...) int64 before thresholding, and strengths (...) float64 in metres."""
         raise NotImplementedError
 
+    def score_point(self, point: np.ndarray, condition: np.ndarray) -> tuple[int, float]:
+        """:meth:`score` of a path of one finite point (3,), in a microsecond; a path's score is its best point's."""
+        raise NotImplementedError
+
     def assign(self, path: ArrayLike, condition: ArrayLike, tau: float | None = None) -> np.ndarray:
         """Labels (...) int64 of ``path`` (..., H, 3) under ``condition`` (..., C): 0 or 1, or -1 if invalid.
 
@@ -80,6 +84,11 @@ class BimodalPartition(BypassPartition):
         strength = np.maximum(left, right)
         return np.broadcast_to(label, leading).copy(), np.broadcast_to(strength, leading).copy()
 
+    def score_point(self, point: np.ndarray, condition: np.ndarray) -> tuple[int, float]:
+        """Label and strength of one point (3,)."""
+        y = float(point[1])
+        return (1, -y) if y < 0.0 else (0, y)
+
 
 class RotatingPartition(BypassPartition):
     """v3: the larger of two orthogonal projections on the whitened cross-section (paper, sec:mode-def).
@@ -108,6 +117,14 @@ class RotatingPartition(BypassPartition):
         first = (y * cosine + z * sine).max(axis=-1)
         second = (z * cosine - y * sine).max(axis=-1)
         return (second > first).astype(np.int64), np.maximum(first, second)
+
+    def score_point(self, point: np.ndarray, condition: np.ndarray) -> tuple[int, float]:
+        """Label and strength of one point (3,); ``condition`` ends with (R, cos phi, sin phi)."""
+        cosine, sine = float(condition[-2]), float(condition[-1])
+        y = float(point[1]) - ROUTE_CENTER[0]
+        z = (float(point[2]) - ROUTE_CENTER[1]) / ROUTE_FLATTENING
+        first, second = y * cosine + z * sine, z * cosine - y * sine
+        return (1, second) if second > first else (0, first)
 
     def assign_rotation(self, rotation: ArrayLike, condition: ArrayLike) -> np.ndarray:
         """The companion rule of an orientation head: the mode whose yaw is nearest the mean (tab:pose).

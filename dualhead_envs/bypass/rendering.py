@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
 import platform
+import weakref
 from importlib import import_module
 from typing import Any
 
@@ -89,6 +91,11 @@ class SceneRenderer:
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = (0, 1, 0, 0, 0, 0)
         self._viewport = mujoco.MjrRect(0, 0, width, height)
+        # A context that outlives its library complains at exit. Registered after the library's own exit handler,
+        # this one runs before it.
+        if not _open:
+            atexit.register(_close_all)
+        _open.add(self)
 
     def render(self, qpos: np.ndarray) -> np.ndarray:
         """The scene at generalised positions ``qpos`` (16,): RGB (height, width, 3) uint8."""
@@ -107,16 +114,27 @@ class SceneRenderer:
 
     def close(self) -> None:
         """Give the GL context back."""
-        self._renderer.free()
-        self._context.free()
+        if self in _open:
+            _open.discard(self)
+            self._context.make_current()
+            self._renderer.free()
+            self._context.free()
+
+
+_open: weakref.WeakSet[SceneRenderer] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    for renderer in list(_open):
+        renderer.close()
 
 
 def _camera(model: mujoco.MjModel, name: str | None) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     if name is None:
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.lookat[:] = (0.02, 0.0, 0.92)
-        camera.distance, camera.azimuth, camera.elevation = 1.15, 215.0, -32.0
+        camera.lookat[:] = (0.03, 0.0, 0.95)
+        camera.distance, camera.azimuth, camera.elevation = 1.05, 190.0, -38.0
         return camera
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
     if index < 0:

@@ -15,7 +15,7 @@ from typing import Literal
 
 from dualhead_envs.bypass.lift_model import cache_directory, cache_key, lift_mjcf, write_atomically
 from dualhead_envs.bypass.physics_engine import mujoco
-from dualhead_envs.bypass.task import CUBE_HALF_SIZE, BypassTask
+from dualhead_envs.bypass.task import CUBE_HALF_SIZE, TABLE_HEIGHT, BypassTask
 
 SceneForm = Literal["torque", "servo", "visual"]
 
@@ -57,7 +57,7 @@ def _add_obstacle_and_goal(root: ElementTree.Element, task: BypassTask) -> None:
     )  # fmt: skip
     ElementTree.SubElement(
         world, "site", name="goal", type="cylinder", rgba="0.20 0.60 0.30 0.6", group="1",
-        pos=_text([task.goal[0], task.goal[1], 0.8015]), size=_text([task.goal_radius, 0.001]),
+        pos=_text([task.goal[0], task.goal[1], TABLE_HEIGHT + 0.0015]), size=_text([task.goal_radius, 0.001]),
     )  # fmt: skip
     sensors = root.find("sensor")
     assert sensors is not None
@@ -81,6 +81,21 @@ def _servo(root: ElementTree.Element) -> None:
             body.set("gravcomp", "1")
 
 
+def _dress(root: ElementTree.Element, task: BypassTask) -> None:
+    """Hide robosuite's markers of the grip site, and give a suspended obstacle a shadow."""
+    world = root.find("worldbody")
+    assert world is not None
+    for site in root.iter("site"):
+        if site.get("name", "").startswith("gripper0_"):
+            site.set("rgba", "0 0 0 0")
+    (x, y, z), (half_x, half_y, half_z) = task.obstacle_center, task.obstacle_half_size
+    if z - half_z > TABLE_HEIGHT + 0.01:
+        ElementTree.SubElement(
+            world, "site", name="obstacle_shadow", type="box", rgba="0 0 0 0.25", group="1",
+            pos=_text([x, y, TABLE_HEIGHT + 0.001]), size=_text([half_x, half_y, 0.0005]),
+        )  # fmt: skip
+
+
 def _keep_physics(root: ElementTree.Element) -> None:
     compiler, sensors = root.find("compiler"), root.find("sensor")
     assert compiler is not None
@@ -99,6 +114,8 @@ def scene_mjcf(task: BypassTask, form: SceneForm) -> str:
     _add_obstacle_and_goal(root, task)
     if form == "servo":
         _servo(root)
+    if form == "visual":
+        _dress(root, task)
     if form != "visual":
         _keep_physics(root)
     return ElementTree.tostring(root, encoding="unicode")

@@ -67,7 +67,7 @@ class PandaSimulation:
         self.data.qpos[CUBE_QPOS] = (
             cube_x, cube_y, TABLE_HEIGHT + CUBE_HALF_SIZE, np.cos(half), 0.0, 0.0, np.sin(half),
         )  # fmt: skip
-        self.gripper = -1.0
+        self._set_gripper(-1.0)
         self.touched = False
         self.update_kinematics()
 
@@ -77,10 +77,17 @@ class PandaSimulation:
 
     def move_gripper(self, command: float) -> None:
         """Let the set point close (``command`` > 0), open (< 0) or stay, by one physics step's worth."""
-        if command:
-            step = GRIPPER_RATE if command > 0.0 else -GRIPPER_RATE
-            self.gripper = min(max(self.gripper + step, -1.0), 1.0)
-        finger = 0.5 * FINGER_RANGE * (1.0 - self.gripper)
+        setting = self.gripper
+        if command > 0.0:
+            setting = min(setting + GRIPPER_RATE, 1.0)
+        elif command < 0.0:
+            setting = max(setting - GRIPPER_RATE, -1.0)
+        if setting != self.gripper:
+            self._set_gripper(setting)
+
+    def _set_gripper(self, setting: float) -> None:
+        self.gripper = setting
+        finger = 0.5 * FINGER_RANGE * (1.0 - setting)
         self.gripper_control[0] = finger
         self.gripper_control[1] = -finger
 
@@ -130,5 +137,6 @@ class PandaSimulation:
         """Return to a snapshot; what follows is the same bit for bit."""
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, np.ascontiguousarray(state[:-2]), _STATE)
-        self.gripper, self.touched = float(state[-2]), bool(state[-1])
+        self._set_gripper(float(state[-2]))
+        self.touched = bool(state[-1])
         self.update_kinematics()

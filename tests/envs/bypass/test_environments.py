@@ -112,7 +112,7 @@ def test_episodes_start_apart_and_inside_their_ranges(env_id):
     assert len(np.unique(starts[:, :2], axis=0)) == 50
     if env_id == "RotatingBypass-v3":
         radius, cosine, sine = starts[:, 18:].T
-        assert ((0.170 <= radius) & (radius <= 0.215)).all()
+        assert ((radius >= 0.170) & (radius <= 0.215)).all()
         np.testing.assert_allclose(np.hypot(cosine, sine), 1.0, atol=1e-6)
         assert (cosine >= 0).all()
         assert (sine >= 0).all()

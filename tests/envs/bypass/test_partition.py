@@ -55,13 +55,28 @@ def test_v3s_labels_follow_the_azimuths(phi, radius, mode):
 
 @given(ANGLES, st.floats(0.0, 2 * np.pi), st.floats(0.01, 0.3))
 def test_mirroring_v3s_routes_swaps_its_labels(phi, psi, radius):
-    # y -> -y takes the azimuths {phi, phi + pi/2} to {pi - phi, pi/2 - phi}: mode 0 of pi/2 - phi is the image of mode 1.
+    # y -> -y takes the azimuths {phi, phi + pi/2} to {pi - phi, pi/2 - phi}: the image of mode 1 is mode 0.
     partition = RotatingPartition()
     label, strength = partition.score(route(psi, radius), condition(phi))
     mirrored, same = partition.score(route(np.pi - psi, radius), condition(np.pi / 2 - phi))
     assert strength == pytest.approx(same, abs=1e-12)
     if abs(np.cos(psi - phi) - np.sin(psi - phi)) > 1e-9 and strength > 1e-9:
         assert mirrored == 1 - label
+
+
+@pytest.mark.parametrize("partition", [BimodalPartition(), RotatingPartition()])
+@given(npst.arrays(np.float64, (16, 3), elements=METRES), ANGLES)
+def test_a_path_can_be_followed_one_point_at_a_time(partition, path, phi):
+    state = condition(phi)
+    best = (0, -np.inf)
+    for point in path:
+        label, strength = partition.score_point(point, state)
+        if strength > best[1]:
+            best = (label, strength)
+    label, strength = partition.score(path, state)
+    assert best[1] == pytest.approx(strength, abs=1e-12)
+    if abs(partition.score(path[:, [0, 1, 2]] * [1, -1, 1], state)[1] - strength) > 1e-9:
+        assert best[0] == label
 
 
 @pytest.mark.parametrize("partition", [BimodalPartition(), RotatingPartition()])

@@ -1,0 +1,115 @@
+"""A picture of one pair of demonstrations: both ways past the obstacle, frame by frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from dualhead_envs.bypass.demonstrations import Demonstration, demonstrate_pair
+from dualhead_envs.bypass.environment import BypassEnv
+
+#: Moments of an episode, in steps after the branch, that the contact sheet shows.
+_MOMENTS = (-84, -20, 6, 14, 34, 56, 80)
+_SUFFIXES = (".png", ".gif")
+
+
+def write_preview(env_id: str, path: Path | str, *, seed: int = 0) -> str:
+    """Show both demonstrations from the initial state of ``seed``, as a contact sheet (.png) or a film (.gif).
+
+    Where OpenGL is missing, a .png is a plot of both measured paths around the obstacle instead.
+
+    Args:
+        env_id: ``"BimodalBypass-v2"`` or ``"RotatingBypass-v3"``.
+        path: The file to write; its suffix decides.
+        seed: Seed of the initial state.
+
+    Returns:
+        One sentence that says what the picture shows.
+
+    Raises:
+        ValueError: If the suffix is neither .png nor .gif.
+        RuntimeError: If a .gif is asked for and OpenGL is missing.
+    """
+    path = Path(path)
+    if path.suffix not in _SUFFIXES:
+        raise ValueError(f"preview={str(path)!r} should end in .png (contact sheet or plot) or .gif (film)")
+    size = (200, 200) if path.suffix == ".gif" else (260, 260)
+    env: Any = gym.make(f"dualhead_envs:{env_id}", control="pose", render_mode="rgb_array", image_size=size)
+    bypass: BypassEnv = env.unwrapped
+    pair = demonstrate_pair(bypass, seed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        bypass.render()
+    except RuntimeError as error:
+        if path.suffix == ".gif":
+            raise
+        _plot_paths(bypass, pair.demonstrations, path)
+        return f"{path} plots both measured paths; it is not rendered, because {error}"
+    if path.suffix == ".gif":
+        _write_film(bypass, pair.demonstrations, path)
+    else:
+        _write_sheet(bypass, pair.demonstrations, pair.branch_step, path)
+    bypass.close()
+    return f"{path} shows both demonstrations from the initial state of seed {seed}"
+
+
+def _replayed(env: BypassEnv, demonstration: Demonstration, steps: set[int]) -> list[np.ndarray]:
+    """Pictures of ``demonstration`` at ``steps``, by repeating it."""
+    env.reset(options={"state": {"environment_state": demonstration.environment_state[0]}})
+    indices = env.layout.control_indices(env.control)
+    pictures = []
+    for step, action in enumerate(demonstration.actions()):
+        if step in steps:
+            pictures.append(env._picture())
+        if env.step(action[indices])[2]:
+            break
+    pictures.append(env._picture())
+    return pictures
+
+
+def _write_sheet(env: BypassEnv, pair: tuple[Demonstration, Demonstration], branch_step: int, path: Path) -> None:
+    import matplotlib.image
+
+    steps = {branch_step + moment for moment in _MOMENTS}
+    rows = [np.concatenate(_replayed(env, demonstration, steps), axis=1) for demonstration in pair]
+    matplotlib.image.imsave(path, np.concatenate(rows))
+
+
+def _write_film(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
+    from PIL import Image
+
+    steps = set(range(0, len(pair[0].gripper), 3))
+    left, right = (_replayed(env, demonstration, steps) for demonstration in pair)
+    frames = [
+        Image.fromarray(np.concatenate(pictures, axis=1)).quantize(64) for pictures in zip(left, right, strict=False)
+    ]
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=150, loop=0, optimize=True)
+
+
+def _plot_paths(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
+    """Both paths of the grip site, from above and along x, with the obstacle and the goal."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    task = env.bypass
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, along = figure.subplots(1, 2, width_ratios=(1.6, 1.0))
+    for axes, (i, j) in ((above, (0, 1)), (along, (1, 2))):
+        center = np.array(task.obstacle_center)[[i, j]]
+        half = np.array(task.obstacle_half_size)[[i, j]]
+        axes.add_patch(Rectangle(tuple(center - half), *(2 * half), color="#335277", label="obstacle"))
+        axes.plot(*np.array(task.goal)[[i, j]], "o", color="#339955", label="goal")
+        for mode, (demonstration, color) in enumerate(zip(pair, ("#d1495b", "#edae49"), strict=True)):
+            axes.plot(*demonstration.positions()[:, [i, j]].T, color=color, label=f"grip site, mode {mode}")
+        axes.set_xlabel(f"{'xyz'[i]} (m)")
+        axes.set_ylabel(f"{'xyz'[j]} (m)")
+        axes.set_aspect("equal")
+    above.set_title("from above")
+    along.set_title("along x")
+    figure.legend(*above.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=4)
+    figure.savefig(path, dpi=110)
