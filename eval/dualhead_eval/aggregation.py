@@ -28,7 +28,11 @@ from dualhead_eval.inference import (
     equivalence_test,
 )
 from dualhead_eval.occupancy import Occupancy, occupancy
-from dualhead_eval.run_statistics import condition_sums, run_statistics
+from dualhead_eval.run_statistics import condition_sums
+
+#: Mean both-valid pairs a condition below which the unbiased estimator is used: the plug-in one would shrink
+#: the effect by more than 2%.
+FEW_PAIRS = 50
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,9 @@ class RunSummary:
         n_modes: Number of modes K.
         tau: Threshold of the mode partition.
         nfe: Integration steps per sample.
+        estimator: ``"plug-in"`` or ``"unbiased"``: what obs to rho and their intervals were computed with.
         n_conditions: Conditions evaluated.
+        n_clusters: Units that the bootstrap resamples: conditions, or clusters of them (episodes).
         n_empty: Conditions without a both-valid pair (they carry no weight).
         n_pairs: Sampled pairs.
         n_both_valid: Pairs in which both heads are valid.
@@ -72,7 +78,9 @@ class RunSummary:
     n_modes: int
     tau: float
     nfe: int
+    estimator: str
     n_conditions: int
+    n_clusters: int
     n_empty: int
     n_pairs: int
     n_both_valid: int
@@ -115,9 +123,12 @@ def summarise_run(
 ) -> RunSummary:
     """Summary of two heads of ``gate`` at one operating point, the reference point by default.
 
+    Conditions that share a pair id (the decisions of one recorded episode) are resampled together.
+
     Raises:
         KeyError: If the operating point was not evaluated.
     """
+    clustered = len(np.unique(gate.pair_ids)) < len(gate.pair_ids)
     table = gate.pair_table(*heads, tau=tau, nfe=nfe)
     return summarise_table(
         table,
@@ -126,6 +137,7 @@ def summarise_run(
         tau=gate.reference_tau if tau is None else float(tau),
         nfe=gate.reference_nfe if nfe is None else int(nfe),
         target=gate.target_probabilities,
+        clusters=gate.pair_ids if clustered else None,
         draws=draws,
         seed=seed,
     )
@@ -139,19 +151,37 @@ def summarise_table(
     tau: float = float("nan"),
     nfe: int = 0,
     target: ArrayLike | None = None,
+    estimator: str | None = None,
+    clusters: ArrayLike | None = None,
     draws: int = BOOTSTRAP_DRAWS,
     seed: int = BOOTSTRAP_SEED,
 ) -> RunSummary:
     """Summary of anyone's counts ``(n_conditions, K+1, K+1)`` (last row and column: invalid samples).
 
+    Args:
+        table: The counts.
+        label: Name of the run.
+        heads: Names of the two heads.
+        tau: Threshold that the labels used.
+        nfe: Integration steps that the samples used.
+        target: Mode frequencies of the data ``(K,)``.
+        estimator: ``"plug-in"`` (the protocol's) or ``"unbiased"``; by default unbiased below
+            :data:`FEW_PAIRS` both-valid pairs a condition.
+        clusters: Cluster of each condition ``(n_conditions,)``; clusters are then resampled, not conditions.
+        draws: Bootstrap replicates.
+        seed: Seed of the bootstrap.
+
     Raises:
         ValueError: If the counts are not such a table.
     """
     counts = np.asarray(table)
-    sums = condition_sums(counts)
-    run = {name: float(value) for name, value in run_statistics(sums.total(), sums.n_modes).items()}
+    sums = condition_sums(counts, "plug-in" if estimator is None else estimator)
+    if estimator is None and sums.terms[:, 1].sum() < FEW_PAIRS * (sums.terms[:, 1] > 0).sum():
+        sums = condition_sums(counts, "unbiased")
+    run = {name: float(value) for name, value in sums.statistics(sums.total()).items()}
     pooled = coordination(both_valid(counts).sum(axis=0))
-    resamples = bootstrap_conditions(sums, draws=draws, rng=np.random.default_rng(seed))
+    units = sums if clusters is None else sums.grouped(clusters)
+    resamples = bootstrap_conditions(units, draws=draws, rng=np.random.default_rng(seed))
     n_both_valid, n_pairs = int(pooled.n), int(counts.sum())
     agreeing = int(np.trace(both_valid(counts).sum(axis=0)))
     per_condition = both_valid(counts).sum(axis=(-2, -1))
@@ -161,7 +191,9 @@ def summarise_table(
         n_modes=sums.n_modes,
         tau=tau,
         nfe=nfe,
+        estimator=sums.estimator,
         n_conditions=len(counts),
+        n_clusters=len(units.terms),
         n_empty=int((per_condition == 0).sum()),
         n_pairs=n_pairs,
         n_both_valid=n_both_valid,
@@ -262,6 +294,8 @@ def _mean_information(tables: NDArray, weight: NDArray) -> float:
 def _reason(run: dict[str, float], n_both_valid: int) -> str:
     if n_both_valid == 0:
         return "no pair in which both heads are valid: only the valid-pair rate is defined"
+    if np.isnan(run["delta"]):
+        return "no condition has two both-valid pairs: only the pooled effect exists, which mixes conditions"
     if np.isnan(run["rho"]):
         return "in every condition a head chose a single mode: capacity is zero and rho is undefined"
     return ""

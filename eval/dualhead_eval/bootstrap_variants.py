@@ -18,11 +18,13 @@ from dualhead_eval.inference import (
     bootstrap_conditions,
     resample_weights,
 )
-from dualhead_eval.run_statistics import TERMS, ConditionSums, run_statistics
+from dualhead_eval.run_statistics import TERMS, ConditionSums
 
 #: Statistics that are ratios of two sums over conditions: (numerator, denominator) columns of the terms.
-_RATIOS = {name: (TERMS.index(name), TERMS.index("both_valid")) for name in TERMS[2:]}
-_RATIOS |= {"valid_rate": (1, 0), "rho": (TERMS.index("delta"), TERMS.index("capacity"))}
+_RATIOS = {name: (name, "weight") for name in ("obs", "bl", "delta", "capacity", "capacity_tight")}
+_RATIOS |= {"valid_rate": ("both_valid", "sampled"), "rho": ("delta", "capacity")}
+#: Those that stay one under the unbiased estimator, whose capacity is a product of two means.
+_UNBIASED_RATIOS = {"obs", "bl", "delta", "valid_rate"}
 
 
 def bca_interval(
@@ -44,8 +46,8 @@ def bca_interval(
     if undefined > UNDEFINED_LIMIT * replicates.size:
         return nowhere
     total = sums.total()
-    estimate = run_statistics(total, sums.n_modes)[name]
-    left_out = run_statistics(total - sums.terms, sums.n_modes)[name]
+    estimate = sums.statistics(total)[name]
+    left_out = sums.statistics(total - sums.terms)[name]
     centred = left_out[np.isfinite(left_out)].mean() - left_out[np.isfinite(left_out)]
     spread = (centred**2).sum() ** 1.5
     # Ties count one half, so that a discrete statistic is not biased by its own value.
@@ -95,9 +97,10 @@ def studentised_interval(
 
 def _ratio_and_error(sums: ConditionSums, name: str, weights: NDArray) -> tuple[NDArray, NDArray]:
     """The ratio and its linearised standard error for each row of ``weights`` over conditions."""
-    if name not in _RATIOS:
-        raise KeyError(f"{name!r} is not a ratio of sums, expected one of {sorted(_RATIOS)}: use bca_interval")
-    numerator, denominator = (sums.terms[:, column] for column in _RATIOS[name])
+    ratios = set(_RATIOS) if sums.estimator == "plug-in" else _UNBIASED_RATIOS
+    if name not in ratios:
+        raise KeyError(f"{name!r} is not a ratio of sums, expected one of {sorted(ratios)}: use bca_interval")
+    numerator, denominator = (sums.terms[:, TERMS.index(column)] for column in _RATIOS[name])
     top, bottom = weights @ numerator, weights @ denominator
     missing = np.full(top.shape, np.nan)
     ratio = np.divide(top, bottom, out=missing.copy(), where=bottom > 0)

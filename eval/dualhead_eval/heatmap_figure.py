@@ -41,9 +41,10 @@ def heatmap_figure(runs: Sequence[RunSummary], residual_mm: Sequence[float | Non
             low, high = -max(0.5 if "Delta" in name else 1.0, np.nanmax(np.abs(shown), initial=0)), None
             high = -low
         elif spec == ".1f":
-            low, high = 0.0, np.nanmax(shown, initial=1.0)
+            low, high = 0.0, 1.4 * np.nanmax(shown, initial=1.0)
         else:
-            low, high = 0.0, 1.0
+            # Full marks are the common case and should not shout.
+            low, high = 0.0, 1.7
         image = ax.imshow(shown, aspect="auto", cmap=palette, vmin=low, vmax=high)
         ax.set_xticks([])
         ax.set_title(name, fontsize=8, rotation=25, ha="left", x=0.1)

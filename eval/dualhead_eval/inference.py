@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dualhead_eval.run_statistics import ConditionSums, run_statistics
+from dualhead_eval.run_statistics import ConditionSums
 
 #: The frozen protocol's number of replicates and seed.
 BOOTSTRAP_DRAWS = 2000
@@ -103,7 +103,7 @@ def bootstrap_conditions(
         raise ValueError(f"draws={draws}, expected at least 1: the frozen protocol uses {BOOTSTRAP_DRAWS}")
     rng = np.random.default_rng(BOOTSTRAP_SEED) if rng is None else rng
     weights = resample_weights(len(sums.terms), draws, rng)
-    return Resamples(run_statistics(weights @ sums.terms, sums.n_modes))
+    return Resamples(sums.statistics(weights @ sums.terms))
 
 
 @dataclass(frozen=True)

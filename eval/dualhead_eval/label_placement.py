@@ -25,6 +25,7 @@ def place_labels(ax: Axes, x: Sequence[float], y: Sequence[float], labels: Seque
     frame = ax.get_window_extent(renderer)
     points = ax.transData.transform(np.column_stack([x, y]))
     taken = [np.array([px - 4 * scale, py - 4 * scale, px + 4 * scale, py + 4 * scale]) for px, py in points]
+    placed: list[np.ndarray] = []
     for index in np.argsort(-points[:, 1], kind="stable"):
         text = ax.annotate(
             labels[index],
@@ -49,11 +50,15 @@ def place_labels(ax: Axes, x: Sequence[float], y: Sequence[float], labels: Seque
                 box = np.array([left, low, left + width, low + height])
                 outside = max(0.0, frame.x0 - box[0]) + max(0.0, box[2] - frame.x1)
                 outside += max(0.0, frame.y0 - box[1]) + max(0.0, box[3] - frame.y1)
-                cost = radius * scale + 50 * outside + 100 * sum(_overlap(box, other) for other in taken)
+                # Labels of higher points were placed before and should stay above.
+                inverted = sum(box[0] < other[2] and other[0] < box[2] and box[1] > other[1] for other in placed)
+                cost = radius * scale + 50 * outside + 40 * inverted
+                cost += 100 * sum(_overlap(box, other) for other in taken)
                 if cost < least:
                     best, least = box, cost
         assert best is not None
         taken.append(best)
+        placed.append(best)
         offset = (best[:2] - points[index]) / scale
         text.set_position((float(offset[0]), float(offset[1])))
         nearest = np.clip(points[index], best[:2], best[2:])

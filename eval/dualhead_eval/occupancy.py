@@ -29,7 +29,7 @@ class Occupancy(Enum):
     INTERIOR = ("III", "partly coordinated", "the heads agree more than chance, less than they could")
     CORNER = ("IV", "coordinated", "the heads choose the same mode and keep both modes alive")
     NEGATIVE = ("-", "anti-coordinated", "the heads avoid each other's mode")
-    UNKNOWN = ("?", "not estimable", "no pair in which both heads are valid")
+    UNKNOWN = ("?", "not estimable", "too few valid pairs for any effect")
 
     @property
     def site(self) -> str:

@@ -16,7 +16,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from dualhead_eval.aggregation import RunSummary, summarise_run
+from dualhead_eval.aggregation import FEW_PAIRS, RunSummary, summarise_run
 from dualhead_eval.gate import Gate
 from dualhead_eval.inference import Interval
 from dualhead_eval.occupancy import Occupancy
@@ -70,7 +70,7 @@ class Row:
             limit = READABLE_VALID_RATE[self.partition]
             return f"not yet readable: valid-pair rate below {limit:.2f}"
         if summary.occupancy is Occupancy.UNKNOWN:
-            return "not estimable: no valid pair"
+            return f"not estimable: {summary.reason.split(':')[0]}"
         if summary.reason:
             return "collapsed: a head chose one mode in every condition"
         test = summary.equivalence
@@ -134,11 +134,15 @@ def render_table(gates: Sequence[Gate] | Sequence[Row], *, explain: bool = True)
     table.add_column("reading", overflow="fold", min_width=12)
     for index, row in enumerate(rows):
         s = row.summary
-        cells: list[str | Text] = [s.label, *(column[index] for column in varying.values()), f"{s.valid_rate:.3f}"]
+        name = s.label + ("*" if s.estimator == "unbiased" else "")
+        cells: list[str | Text] = [name, *(column[index] for column in varying.values()), f"{s.valid_rate:.3f}"]
         cells += [_number(s.capacity, ".4f"), _number(s.delta, "+.4f"), _with_interval(s.rho, s.intervals["rho"])]
         cells += [_equivalence(s), Text(row.reading, style="" if row.readable else "bold yellow")]
         table.add_row(*cells)
-    return Group(table, explanation()) if explain else Group(table)
+    parts: list[Table | str] = [table]
+    if any(row.summary.estimator == "unbiased" for row in rows):
+        parts.append(f"* fewer than {FEW_PAIRS} pairs a condition: unbiased estimates, which can leave [-1, 1]")
+    return Group(*parts, explanation()) if explain else Group(*parts)
 
 
 def report_json(rows: Iterable[Row]) -> list[dict[str, Any]]:

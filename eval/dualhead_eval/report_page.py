@@ -109,7 +109,7 @@ def _effects(rows: Sequence[Row]) -> str:
         delta, rho, test = s.intervals["delta"], s.intervals["rho"], s.equivalence
         lines.append(
             [
-                s.label,
+                s.label + (" (unbiased estimates)" if s.estimator == "unbiased" else ""),
                 " / ".join(s.heads),
                 str(s.n_modes),
                 f"{s.tau:g}",

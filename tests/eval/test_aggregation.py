@@ -55,7 +55,7 @@ def test_a_run_is_the_weighted_mean_of_its_conditions(seed, k, couple, invalid):
     table = sampled_table(seed, conditions=6, pairs=30, k=k, couple=couple, invalid=invalid)
     if table[:, :-1, :-1].sum() == 0:
         return
-    summary = summarise_table(table, draws=5)
+    summary = summarise_table(table, estimator="plug-in", draws=5)
     for name, value in naive_run(table).items():
         assert getattr(summary, name) == pytest.approx(value, abs=1e-12, nan_ok=True)
     pooled = coordination(table[:, :-1, :-1].sum(axis=0))
@@ -200,3 +200,54 @@ def test_p_values_follow_the_intervals():
     assert (independent.p_value > 0.05) == (0 in independent.intervals["rho"])
     assert coupled.p_value == pytest.approx(2 / 2001)
     assert np.isnan(summarise_table(np.pad(np.full((4, 1, 1), 9), ((0, 0), (0, 2), (0, 2)))).p_value)
+
+
+def few_pairs(conditions=20_000, n=2, seed=0):
+    """Two pairs a condition: marginals and coupling vary from one condition to the next."""
+    rng = np.random.default_rng(seed)
+    left, couple = rng.beta(2, 2, size=(conditions, 1)), rng.random((conditions, 1))
+    a, own = (rng.random((conditions, n)) < left for _ in range(2))
+    b = np.where(rng.random((conditions, n)) < couple, a, own)
+    truth = (couple * 2 * left * (1 - left)).mean(), (2 * left * (1 - left)).mean()
+    return joint_counts(a.astype(int), b.astype(int), 2), truth
+
+
+def test_two_pairs_a_condition_are_enough_without_the_plug_in_bias():
+    table, (delta, capacity) = few_pairs()
+    plug_in = summarise_table(table, estimator="plug-in", draws=50)
+    unbiased = summarise_table(table, draws=500)
+    assert unbiased.estimator == "unbiased"
+    assert plug_in.delta == pytest.approx(delta / 2, rel=0.05)
+    assert unbiased.delta in unbiased.intervals["delta"]
+    assert delta in unbiased.intervals["delta"]
+    assert capacity in unbiased.intervals["capacity"]
+    assert unbiased.rho == pytest.approx(delta / capacity, rel=0.05)
+    assert unbiased.bl == pytest.approx(unbiased.obs + unbiased.delta)
+    assert np.isnan(unbiased.capacity_tight)
+
+
+def test_many_pairs_make_the_estimators_one():
+    table = sampled_table(2, conditions=30, pairs=2000)
+    plug_in, unbiased = (summarise_table(table, estimator=name, draws=50) for name in ("plug-in", "unbiased"))
+    assert summarise_table(table, draws=5).estimator == "plug-in"
+    assert plug_in.delta == pytest.approx(unbiased.delta, rel=2e-3)
+    with pytest.raises(ValueError, match="estimator"):
+        summarise_table(table, estimator="exact")
+
+
+def test_single_pairs_leave_only_the_pooled_effect():
+    table, _ = few_pairs(conditions=200, n=1)
+    summary = summarise_table(table, draws=20)
+    assert np.isnan([summary.delta, summary.rho]).all()
+    assert summary.delta_pooled > 0
+    assert "only the pooled effect" in summary.reason
+    assert summary.occupancy is Occupancy.UNKNOWN
+
+
+def test_decisions_of_one_episode_are_resampled_together():
+    table, _ = few_pairs(conditions=400, n=4)
+    table = np.repeat(table[:40], 10, axis=0)
+    alone, together = (summarise_table(table, clusters=clusters) for clusters in (None, np.repeat(np.arange(40), 10)))
+    assert (alone.n_clusters, together.n_clusters) == (400, 40)
+    wide, narrow = (s.intervals["delta"].high - s.intervals["delta"].low for s in (together, alone))
+    assert wide > 2 * narrow

@@ -1,5 +1,7 @@
 """Other intervals and tests, against independent implementations and known cases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -7,7 +9,7 @@ from scipy import stats
 from dualhead_eval.bootstrap_variants import bca_interval, standard_error, studentised_interval
 from dualhead_eval.counts import joint_counts
 from dualhead_eval.inference import bootstrap_conditions
-from dualhead_eval.run_statistics import condition_sums, run_statistics
+from dualhead_eval.run_statistics import TERMS, condition_sums
 from dualhead_eval.seed_inference import (
     benjamini_hochberg,
     interaction_test,
@@ -31,7 +33,7 @@ def test_bca_is_scipys(sums, name):
     mine = bca_interval(sums, name, draws=2000, rng=np.random.default_rng(1))
 
     def statistic(index, axis=-1):
-        return run_statistics(sums.terms[index].sum(axis=-2), 2)[name]
+        return sums.statistics(sums.terms[index].sum(axis=-2))[name]
 
     theirs = stats.bootstrap(
         (np.arange(40),),
@@ -53,15 +55,17 @@ def test_the_linearised_error_is_the_bootstraps(sums, name):
 def test_the_studentised_interval_leans_where_the_skew_is(sums):
     percentile = bootstrap_conditions(sums).interval("rho", 0.95)
     studentised = studentised_interval(sums, "rho")
-    estimate = run_statistics(sums.total(), 2)["rho"]
+    estimate = sums.statistics(sums.total())["rho"]
     assert studentised.low < estimate < studentised.high
     assert studentised.high - studentised.low == pytest.approx(percentile.high - percentile.low, rel=0.3)
     with pytest.raises(KeyError, match="bca_interval"):
         studentised_interval(sums, "rho_pooled")
+    with pytest.raises(KeyError, match="bca_interval"):
+        studentised_interval(replace(sums, estimator="unbiased"), "rho")
 
 
 def test_clusters_of_conditions_widen_the_interval(sums):
-    groups = np.argsort(np.argsort(sums.terms[:, 4])) // 4
+    groups = np.argsort(np.argsort(sums.terms[:, TERMS.index("delta")])) // 4
     by_condition = bootstrap_conditions(sums).interval("delta", 0.95)
     by_cluster = bootstrap_conditions(sums.grouped(groups)).interval("delta", 0.95)
     assert sums.grouped(groups).total() == pytest.approx(sums.total())
