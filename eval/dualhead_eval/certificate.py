@@ -13,6 +13,8 @@ conditions' own co-movement, and everything the certificate then says is about t
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -214,12 +216,12 @@ class CoordinationCertificate:
         self._state.merge(other._state)
         self._cache = None
 
-    def save(self, path: str) -> None:
+    def save(self, path: str | os.PathLike) -> None:
         """Write the state to a JSON file, atomically (replacing an older state)."""
         write_state(self._state, path)
 
     @classmethod
-    def load(cls, path: str) -> CoordinationCertificate:
+    def load(cls, path: str | os.PathLike) -> CoordinationCertificate:
         """Continue from a saved state.
 
         Raises:

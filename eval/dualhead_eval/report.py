@@ -6,7 +6,7 @@ otherwise. Every number is recomputed from the counts.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
@@ -161,16 +161,6 @@ def report_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
     return objects
 
 
-def render_card(card: Mapping[str, Any], title: str = "Geometry card") -> Table:
-    """A dataset's geometry card as a two-column table; nested objects become dotted names."""
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("quantity")
-    table.add_column("value", justify="right", overflow="fold")
-    for name, value in _flatten(card):
-        table.add_row(name, f"{value:.6g}" if isinstance(value, float) else str(value))
-    return table
-
-
 def explanation() -> Table:
     """What each column and each reading means."""
     table = Table.grid(padding=(0, 2))
@@ -200,14 +190,6 @@ def _equivalence(summary: RunSummary) -> str:
     if test.equivalent is None:
         return "undef."
     return f"{'yes' if test.equivalent else 'no'} ±{test.width:.1%}"
-
-
-def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
-    for key, item in value.items():
-        if isinstance(item, Mapping):
-            yield from _flatten(item, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", item
 
 
 def _without_nan(value: Any) -> Any:

@@ -64,8 +64,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from dualhead_eval.atomic_text import write_text
+    from dualhead_eval.card_table import render_card
     from dualhead_eval.gate import read_gate
-    from dualhead_eval.report import explanation, render_card, render_table, report_json, report_rows
+    from dualhead_eval.report import explanation, render_table, report_json, report_rows
     from dualhead_eval.report_tables import render_families
 
     console = Console()

@@ -26,7 +26,7 @@ def as_labels(table):
     return a, b, table.ravel().astype(float)
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(tables())
 def test_rho_and_kappa_are_scikit_learns(table):
     effect = coordination(table)

@@ -16,7 +16,7 @@ from dualhead_eval.gate import Gate, write_gate
 from dualhead_eval.inference import Interval
 from dualhead_eval.occupancy import Occupancy
 from dualhead_eval.region_figure import draw_region
-from dualhead_eval.report import render_card, render_table, report_json, report_rows
+from dualhead_eval.report import render_table, report_json, report_rows
 from dualhead_eval.report_command import add_arguments, run
 
 
@@ -147,15 +147,19 @@ def test_the_command_writes_what_was_asked_and_overwrites_nothing(tmp_path, caps
     assert run(parse(gate, "--json", numbers, "--overwrite")) == 0
 
 
-def test_a_dataset_folder_prints_its_card(tmp_path, capsys):
-    (tmp_path / "card.json").write_text(json.dumps({"mode_gap_mm": {"mean": 143.68}, "rejections": 0}))
-    assert run(parse(tmp_path)) == 0
+def test_a_dataset_folder_prints_its_card(ring_data, tmp_path, capsys):
+    assert run(parse(ring_data)) == 0
     out = capsys.readouterr().out
-    assert "mode_gap_mm.mean" in out
-    assert "143.68" in out
-    assert "rejections" in printed(render_card({"rejections": 0}))
+    for word in ("mode_gap_cv", "0.1767", "single_feature_auroc", "distance between the two nearest modes"):
+        assert word in out
     with pytest.raises(FileNotFoundError, match=r"no card\.json"):
-        run(parse(tmp_path.parent))
+        run(parse(tmp_path))
+    (tmp_path / "card.json").write_text('{"a": 1}')
+    with pytest.raises(ValueError, match="'measured'"):
+        run(parse(tmp_path))
+    (tmp_path / "card.json").write_text('{"a": ')
+    with pytest.raises(ValueError, match="not complete JSON"):
+        run(parse(tmp_path))
 
 
 def test_the_module_refuses_bad_input_in_one_line(tmp_path):
