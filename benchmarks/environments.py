@@ -1,6 +1,6 @@
 """How fast the bypass environments step, against robosuite's own environment and against bare physics.
 
-    uv run python benchmarks/environments.py [--steps 400]
+    uv run python benchmarks/environments.py [--steps 600]
 
 Everything runs on one core, in one process and in turns, with the cube grasped and held still above the table; a
 row's speed is the median over the turns, so that a busy machine slows all rows alike. Ratios are what to quote.
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import warnings
 import time
+import warnings
 from collections.abc import Callable
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy loads its libraries
@@ -20,6 +20,7 @@ import gymnasium as gym
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.spatial.transform import Rotation
 
 from dualhead_envs.bypass.demonstrator import follow, grasp_and_lift
 from dualhead_envs.bypass.environment import BypassEnv
@@ -28,7 +29,7 @@ from dualhead_envs.bypass.robosuite_reference import RobosuiteReference
 from dualhead_envs.bypass.simulation import SUBSTEPS, PandaSimulation
 
 ENV_ID = "BimodalBypass-v2"
-TURNS = 20
+TURNS = 30
 SERVO, TORQUE = "bare physics, servo model", "bare physics, torque model"
 #: What each of our rows adds its work to.
 PHYSICS = {"ours, joint": SERVO, "ours, position": TORQUE, "ours, pose": TORQUE, SERVO: SERVO, TORQUE: TORQUE}
@@ -70,15 +71,24 @@ def bare(env: BypassEnv) -> Callable[[], object]:
     return lambda: mujoco.mj_step(simulation.model, simulation.data, nstep=SUBSTEPS)
 
 
-def robosuites(simulation: PandaSimulation, controller: str) -> Callable[[], object]:
-    """A step of robosuite's environment that stays where it is."""
-    reference = RobosuiteReference(simulation.task, controller)
-    reference.copy_state(simulation)
-    if controller == "OSC_POSE":
-        position, rotation = simulation.position.copy(), simulation.rotation.copy()
-        return lambda: reference.step(position, rotation, 1.0)
+def robosuites(simulation: PandaSimulation) -> dict[str, Callable[[], object]]:
+    """Steps of robosuite's environment that stay where they are, and its bare physics."""
+    osc = RobosuiteReference(simulation.task, "OSC_POSE")
+    joint = RobosuiteReference(simulation.task, "JOINT_POSITION")
+    for reference in (osc, joint):
+        reference.copy_state(simulation)
+    turn = Rotation.from_matrix(simulation.rotation).as_rotvec()
+    goal = np.concatenate([simulation.position, turn, [1.0]])
     still = np.append(np.zeros(7), 1.0)
-    return lambda: reference.env.step(still)
+    physics = RobosuiteReference(simulation.task)
+    physics.copy_state(simulation)
+    physics.env.step(goal)
+    model, data = physics.env.sim.model._model, physics.env.sim.data._data
+    return {
+        "robosuite OSC_POSE": lambda: osc.env.step(goal),
+        "robosuite JOINT_POSITION": lambda: joint.env.step(still),
+        "bare physics, robosuite's model": lambda: mujoco.mj_step(model, data, nstep=SUBSTEPS),
+    }
 
 
 def measure(rows: dict[str, Callable[[], object]], steps: int) -> dict[str, float]:
@@ -100,7 +110,7 @@ def measure(rows: dict[str, Callable[[], object]], steps: int) -> dict[str, floa
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=400, help="control steps a row (default: 400)")
+    parser.add_argument("--steps", type=int, default=600, help="control steps a row (default: 600)")
     arguments = parser.parse_args()
     warnings.filterwarnings("ignore", category=SyntaxWarning)  # robosuite's logo
     if hasattr(os, "sched_setaffinity"):
@@ -109,12 +119,11 @@ def main() -> None:
     joint, position, pose = (grasped(control) for control in ("joint", "position", "pose"))
     reset = gym.make(f"dualhead_envs:{ENV_ID}").unwrapped
     rows: dict[str, Callable[[], object]] = {
-        "robosuite OSC_POSE": robosuites(position.simulation, "OSC_POSE"),
-        "robosuite JOINT_POSITION": robosuites(position.simulation, "JOINT_POSITION"),
+        **robosuites(position.simulation),
         "ours, joint": hold(joint),
+        SERVO: bare(grasped("joint")),
         "ours, position": hold(position),
         "ours, pose": hold(pose),
-        SERVO: bare(grasped("joint")),
         TORQUE: bare(grasped("position")),
     }
     speeds = measure(rows, arguments.steps)
