@@ -13,6 +13,7 @@ from functools import cache
 from importlib import resources
 
 from dualhead_eval.gate import Gate
+from dualhead_eval.head_valid import head_valid_coordination
 from dualhead_eval.inference import Interval
 from dualhead_eval.mechanism import mechanism_of
 from dualhead_eval.report import Row
@@ -28,6 +29,9 @@ QUANTITIES = {
     "valid_rate": "valid_pair_rate",
     "residual_mm": "residual_mm",
 }
+#: Tables of robot runs, whose rows use head-valid marginals but for the families of tab:caliber.
+ROBOT_TABLES = {"tab:main", "tab:v3"}
+EXACT_ROWS = ("v2/C ", "v2/D ", "v2/E ", "v2/H ", "v2/I ")
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,7 @@ class Comparison:
         ours: Our value.
         interval: Our 95% interval over conditions, if there is one.
         paper: The paper's value; figures printed as a range are left out.
+        head_valid: Ours under the head-valid approximation, for rows that the paper computed so (None else).
         n: Runs behind the paper's value.
         note: The paper's remark on its value, or why ours cannot be read.
     """
@@ -98,6 +103,7 @@ class Comparison:
     ours: float
     interval: Interval | None
     paper: float
+    head_valid: float | None
     n: int | None
     note: str
 
@@ -121,6 +127,7 @@ def compare_with_paper(gates: Sequence[Gate], rows: Iterable[Row]) -> list[Compa
         at_reference = (row.summary.tau, row.summary.nfe) == (gate.reference_tau, gate.reference_nfe)
         name = mechanism_of(gate).paper_row if at_reference else ""
         printed = paper_row(name)
+        head_valid = head_valid_coordination(gate.pair_table()).run() if printed else {}
         for ours, theirs in QUANTITIES.items():
             if theirs not in printed:
                 continue
@@ -129,9 +136,20 @@ def compare_with_paper(gates: Sequence[Gate], rows: Iterable[Row]) -> list[Compa
             if figure.value is None or mine is None:
                 continue
             interval = row.summary.intervals.get(ours)
-            note = figure.note if row.readable else row.reading
+            approximate = figure.source in ROBOT_TABLES and not name.startswith(EXACT_ROWS)
             comparisons.append(
-                Comparison(gate.label, name, figure.source, ours, mine, interval, figure.value, figure.n, note)
+                Comparison(
+                    label=gate.label,
+                    row=name,
+                    source=figure.source,
+                    quantity=ours,
+                    ours=mine,
+                    interval=interval,
+                    paper=figure.value,
+                    head_valid=head_valid.get(ours) if approximate else None,
+                    n=figure.n,
+                    note=figure.note if row.readable else row.reading,
+                )
             )
     return comparisons
 

@@ -230,19 +230,29 @@ def _all_heads(gates: Sequence[Gate]) -> str:
 def _comparisons(comparisons: Sequence[Comparison]) -> str:
     if not comparisons:
         return "<p>None of these runs has the setting of a row in the paper.</p>"
-    head = ["run", "the paper's row", "quantity", "ours", "95% (conditions)", "paper", "difference", "seeds"]
+    head = [
+        "run",
+        "the paper's row",
+        "quantity",
+        "ours",
+        "95% (conditions)",
+        "head-valid",
+        "paper",
+        "difference",
+        "seeds",
+    ]
     head.append("note")
     lines = []
     for c in comparisons:
         spec = ".1f" if c.quantity == "residual_mm" else ".4f"
         bounds = "" if c.interval is None else _range(c.interval.low, c.interval.high, spec)
         cells = [c.label, f"{c.row} ({c.source})", c.quantity, _figure(c.ours, spec), bounds]
-        cells.append(f"{c.paper:{spec}}")
+        cells += ["" if c.head_valid is None else _figure(c.head_valid, spec), f"{c.paper:{spec}}"]
         lines.append([*cells, _figure(c.difference, "+" + spec), str(c.n or ""), c.note])
     note = (
         "The paper's values are means over its seeds; most of its rows use head-valid marginals, ours the exact ones."
     )
-    return _table(head, lines, text=(0, 1, 2, 8)) + f'<p class="note">{escape(note)}</p>'
+    return _table(head, lines, text=(0, 1, 2, 9)) + f'<p class="note">{escape(note)}</p>'
 
 
 def _grades(grades: Sequence[Grade]) -> str:

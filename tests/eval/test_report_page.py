@@ -183,6 +183,11 @@ def test_our_numbers_stand_beside_the_papers():
     assert rho.ours in rho.interval
     robot = make_gate("A", partition="bypass-v2")
     quantities = {c.quantity: c.paper for c in compare_with_paper([robot], report_rows([robot]))}
+    head_valid = {c.quantity: c.head_valid for c in compare_with_paper([robot], report_rows([robot]))}
+    exact = make_gate("H", partition="bypass-v2", config={"token": "episode"})
+    assert all(c.head_valid is None for c in compare_with_paper([exact], report_rows([exact])))
+    assert head_valid["capacity"] == pytest.approx(0.5, abs=0.01)
+    assert head_valid["obs"] is None
     assert quantities["valid_rate"] == 0.7729
     assert quantities["residual_mm"] == 84.79
     assert compare_with_paper([make_gate("x", partition="none")], report_rows([make_gate("x", partition="none")])) == []
