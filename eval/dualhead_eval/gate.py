@@ -5,8 +5,7 @@ invalid samples included, with everything needed to know where they came from. O
 
     {"format": "dualhead-gate/1", "sha256": <digest of content>, "content": {...}}
 
-written atomically and checked on reading: a truncated, foreign, edited or newer file is refused in one
-    sentence.
+written atomically and checked on reading: a truncated, foreign, edited or newer file is refused in a sentence.
 """
 
 from __future__ import annotations
@@ -44,7 +43,8 @@ class Gate:
         counts: Joint counts, int64 ``(n_nfe, n_tau, n_conditions, K+1, ..., K+1)`` with one trailing axis a
             head; index K counts invalid samples.
         conditions: Environment state of each condition, ``(n_conditions, C)``.
-        pair_ids: Id of each condition's demonstration pair, ``(n_conditions,)``.
+        pair_ids: Id of each condition's demonstration pair, ``(n_conditions,)``; decisions of one recorded
+            episode share theirs and are resampled together.
         target_probabilities: Mode frequencies of the data ``(K,)``, or None if unknown.
         provenance: JSON object: ``label`` of the run, ``partition``, seeds, versions, sampling, losses, ...
         strata: Residual strata by component name, each with leading shape ``(n_nfe, n_tau, n_conditions)``.
