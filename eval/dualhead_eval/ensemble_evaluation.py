@@ -7,7 +7,7 @@ each two members is split by their modes, so that the report prints its contamin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import combinations
 from typing import Any
 
@@ -81,7 +81,8 @@ def evaluate_ensemble(
         if progress is not None:
             progress(len(condition[group]))
     labels, distances = (np.concatenate(part, axis=-2) for part in zip(*parts, strict=True))
-    return _gate(tuple(members), labels, distances, bank, nfe, _provenance(members, head, shared_noise, pairs, seed, label))
+    provenance = _provenance(members, head, shared_noise, pairs, seed, label)
+    return _gate(tuple(members), labels, distances, bank, nfe, provenance)
 
 
 def _positions(

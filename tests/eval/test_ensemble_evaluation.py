@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from dualhead_eval.aggregation import summarise_run
 from dualhead_eval.ensemble_evaluation import evaluate_ensemble
 from dualhead_eval.evaluation_sources import open_conditions, open_exact_reference
