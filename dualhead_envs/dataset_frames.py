@@ -80,6 +80,23 @@ class SplitFrames:
         frames = at_branch[first]
         return Conditions({key: column[frames] for key, column in self.observation.items()}, pair)
 
+    def mode_windows(self, horizon: int) -> np.ndarray | None:
+        """Positions of every pair's demonstrations after the branch, by mode: (B, K, horizon, d) in metres.
+
+        Pairs are ordered as in :meth:`conditions`. None if a pair lacks a mode or a whole window.
+        """
+        position = [i for i, name in enumerate(self.action_names) if name.startswith("position.")]
+        at_branch = np.flatnonzero(self.frame_index == self.labels["branch_step"])
+        pairs, row = np.unique(self.labels["pair"][at_branch], return_inverse=True)
+        mode = self.labels["mode"][at_branch]
+        if (mode < 0).any() or not np.isin(at_branch, self.window_starts(horizon)).all():
+            return None
+        first = np.full((len(pairs), int(mode.max()) + 1), -1)
+        first[row, mode] = at_branch
+        if (first < 0).any():
+            return None
+        return self.action[:, position][first[..., None] + np.arange(horizon)].astype(np.float64)
+
     @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of the Parquet data files, in order."""

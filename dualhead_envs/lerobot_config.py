@@ -59,10 +59,7 @@ class ExecutedActionStep(PolicyActionProcessorStep):
         """Declares the executed width."""
         shape = (len(self._indices),)
         return {
-            kind: {
-                key: PolicyFeature(f.type, shape) if f.type is FeatureType.ACTION else f
-                for key, f in group.items()
-            }
+            kind: {key: PolicyFeature(f.type, shape) if f.type is FeatureType.ACTION else f for key, f in group.items()}
             for kind, group in features.items()
         }
 

@@ -130,9 +130,7 @@ def _frame_columns(episodes: Sequence[Episode], fps: int) -> dict[str, np.ndarra
     return columns
 
 
-def _statistics_by_feature(
-    frames: Mapping[str, np.ndarray], lengths: np.ndarray, fps: int
-) -> dict[str, Statistics]:
+def _statistics_by_feature(frames: Mapping[str, np.ndarray], lengths: np.ndarray, fps: int) -> dict[str, Statistics]:
     """Each feature's statistics of every episode, computed for all episodes of one length together."""
     starts = np.cumsum(lengths) - lengths
     # LeRobot sees timestamps before they are rounded to float32.
@@ -182,9 +180,7 @@ def _episode_table(
     return pa.table(columns)
 
 
-def _write_files(
-    folder: Path, table: pa.Table, lengths: np.ndarray, index_columns: str | None = None
-) -> np.ndarray:
+def _write_files(folder: Path, table: pa.Table, lengths: np.ndarray, index_columns: str | None = None) -> np.ndarray:
     """Write ``table`` in files below LeRobot's size limit that end where an episode ends.
 
     Args:

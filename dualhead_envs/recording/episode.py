@@ -41,9 +41,7 @@ class Episode:
             raise ValueError(f"an episode has arrays of shapes {shapes}, expected (T, width) with one T > 0")
         for name, array in arrays.items():
             if not np.isfinite(array).all():
-                raise ValueError(
-                    f"an episode of pair {self.pair} has NaN or infinity in {name}: do not record it"
-                )
+                raise ValueError(f"an episode of pair {self.pair} has NaN or infinity in {name}: do not record it")
 
     def __len__(self) -> int:
         return self.action.shape[0]

@@ -40,19 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--root", type=Path, required=True, help="output folder; must not hold anything")
     parser.add_argument("--seed", type=int, default=0, help="seed of the demonstrations (default: 0)")
     parser.add_argument("--control", help="how the environment is driven: joint, position, pose")
-    parser.add_argument(
-        "--tau", type=float, help="threshold of the mode partition (default: the environment's)"
-    )
+    parser.add_argument("--tau", type=float, help="threshold of the mode partition (default: the environment's)")
     parser.add_argument("--no-progress", action="store_true", help="no progress bar")
 
     ring = parser.add_argument_group("ring")
-    ring.add_argument(
-        "--preset", choices=sorted(_PRESETS), help="paths in train: smoke 3,000 (default), full 50,000"
-    )
+    ring.add_argument("--preset", choices=sorted(_PRESETS), help="paths in train: smoke 3,000 (default), full 50,000")
     ring.add_argument("--episodes", type=int, metavar="N", help="paths in train, instead of a preset")
-    ring.add_argument(
-        "--conditions", type=int, metavar="N", help="conditions in val and in test (default: 75)"
-    )
+    ring.add_argument("--conditions", type=int, metavar="N", help="conditions in val and in test (default: 75)")
     ring.add_argument("--bank-seed", type=int, metavar="N", help="seed of val and test (default: 0)")
     ring.add_argument("--representation", help="head A: orthogonal (default), polar or nullspace")
     ring.add_argument(
@@ -65,13 +59,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RAD",
         help="unequal spacing: the modes' offsets from theta",
     )
-    ring.add_argument(
-        "--path-spread", type=float, metavar="M", help="sd of a path's offset (default: 0.08 m)"
-    )
+    ring.add_argument("--path-spread", type=float, metavar="M", help="sd of a path's offset (default: 0.08 m)")
 
     bypass = parser.add_argument_group("bypass")
     bypass.add_argument("--pairs", type=int, metavar="N", help="initial states, each shown in both modes")
     bypass.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    bypass.add_argument(
+        "--preview", type=Path, metavar="FILE", help="also show one pair: contact sheet (.png) or film (.gif)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -90,13 +85,18 @@ def run(args: argparse.Namespace) -> int:
         raise ValueError(f"{', '.join(given)} is not an option of {env_id}: see `dualhead record --help`")
     if args.preset and args.episodes is not None:
         raise ValueError("--preset and --episodes both set the size of train: give one of them")
+    if args.preview is not None:
+        if is_ring:
+            raise ValueError(f"--preview is not an option of {env_id}: see `dualhead record --help`")
+        if args.preview.exists():
+            raise FileExistsError(f"{args.preview} already exists: choose another name, or delete it first")
+        if args.preview.suffix not in (".png", ".gif"):
+            raise ValueError(f"--preview {args.preview} should end in .png (contact sheet) or .gif (film)")
     options = {name: getattr(args, name) for name in own if getattr(args, name) is not None}
     if preset := options.pop("preset", None):
         options["episodes"] = _PRESETS[preset]
     env_kwargs = {name: options.pop(name) for name in _RING_KWARGS if name in options}
-    env_kwargs |= {
-        name: getattr(args, name) for name in ("control", "tau") if getattr(args, name) is not None
-    }
+    env_kwargs |= {name: getattr(args, name) for name in ("control", "tau") if getattr(args, name) is not None}
 
     start = time.monotonic()
     try:
@@ -110,6 +110,10 @@ def run(args: argparse.Namespace) -> int:
             raise
         raise ValueError(error.strerror) from error
     _print_summary(root, time.monotonic() - start)
+    if args.preview is not None:
+        from dualhead_envs.bypass.preview import write_preview
+
+        print(write_preview(env_id, args.preview, seed=args.seed))
     return 0
 
 

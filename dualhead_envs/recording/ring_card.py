@@ -38,9 +38,7 @@ def ring_card(env_id: str, splits: Mapping[str, Sequence[Episode]], layout: Layo
     episodes = [episode for split in splits.values() for episode in split]
     modes = np.array([episode.mode for episode in episodes])
     labels = np.array([episode.extra["label"] for episode in episodes])
-    gaps = np.array(
-        [_mode_gap(group, layout) for split in ("val", "test") for group in _by_pair(splits[split])]
-    )
+    gaps = np.array([_mode_gap(group, layout) for split in ("val", "test") for group in _by_pair(splits[split])])
     feature, auroc = strongest_feature(
         np.array([_path(episode, layout) for episode in splits["train"]]),
         np.array([episode.mode for episode in splits["train"]]),

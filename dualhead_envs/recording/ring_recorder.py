@@ -77,9 +77,7 @@ def record_ring(
         if value < least:
             raise ValueError(f"{name}={value} is too small: pass at least {least}")
     if "n_modes" in (env_kwargs or {}):
-        raise ValueError(
-            "env_kwargs has n_modes, which the id decides: choose the RotatingRing id of that number"
-        )
+        raise ValueError("env_kwargs has n_modes, which the id decides: choose the RotatingRing id of that number")
 
     def make(num_envs: int) -> RotatingRingVectorEnv:
         env = gym.make_vec(f"dualhead_envs:{env_id}", num_envs=num_envs, **dict(env_kwargs or {}))
@@ -188,9 +186,7 @@ def _record(
     ]
 
 
-def _draw(
-    generator: RingGenerator, split: str, seed: int, block: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _draw(generator: RingGenerator, split: str, seed: int, block: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Conditions (1024, 3), modes (1024, m) and paths (1024, m, 16, 2) of a block, m episodes a condition."""
     rng = np.random.default_rng([seed, _STREAMS[split], block])
     condition = generator.draw_conditions(rng, _BLOCK)

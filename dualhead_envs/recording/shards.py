@@ -115,9 +115,7 @@ class ShardStore:
             return []
         bounds = np.cumsum(columns["length"])[:-1]
         frames = {key: np.split(columns[key], bounds) for key in _FRAME_COLUMNS}
-        extra = {
-            key.removeprefix("extra."): values for key, values in columns.items() if key.startswith("extra.")
-        }
+        extra = {key.removeprefix("extra."): values for key, values in columns.items() if key.startswith("extra.")}
         return [
             Episode(
                 frames["observation_state"][i],

@@ -50,8 +50,6 @@ def publish(dataset: Path, root: Path) -> None:
 def _refuse_occupied(root: Path) -> None:
     if root.is_dir() and any(root.iterdir()):
         found = "a dataset" if (root / "card.json").exists() else "other files"
-        raise FileExistsError(
-            f"{root} already holds {found}: choose another output folder, or delete this one first"
-        )
+        raise FileExistsError(f"{root} already holds {found}: choose another output folder, or delete this one first")
     if root.exists() and not root.is_dir():
         raise FileExistsError(f"{root} is a file: choose another output folder")

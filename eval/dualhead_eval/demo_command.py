@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     demo = Demo(RING_PLAN, RING_BUDGETS[args.preset], root, seed=args.seed, jobs=args.jobs)
     demo.claim_folder()
     budget = demo.budget
-    with stage(demo.console, 1, 4, f"Record {budget.episodes:,} scripted paths under two representation maps."):
+    with stage(demo.console, 1, 4, f"Record {budget.demonstrations:,} scripted paths under two representation maps."):
         demo.record()
     with stage(
         demo.console,

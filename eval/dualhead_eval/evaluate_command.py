@@ -133,6 +133,7 @@ def _sampled(args: argparse.Namespace) -> Gate:
             bank.pair_ids,
             bank.partition,
             protocol,
+            direction=bank.direction,
             target_probabilities=bank.target_probabilities,
             provenance={"label": _label(args), **source.provenance, **bank.provenance},
             progress=bar.update,
@@ -170,6 +171,7 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
         )
     print(
         f"closed loop, {args.control} head driving: success {outcome['success_rate']:.1%}, "
-        f"collision {outcome['collision_rate']:.1%} of {args.episodes} episodes, recorded in {args.record}"
+        f"collision {outcome['collision_rate']:.1%} of {args.episodes} episodes, recorded in {args.record}\n"
+        f"runtime certificate after these episodes: {outcome['verdict']}"
     )
     return rollout_gate(args.record, taus=args.tau, label=_label(args))

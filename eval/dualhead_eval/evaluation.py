@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 
 from dualhead_eval.counts import joint_table
 from dualhead_eval.gate import Gate
-from dualhead_eval.residual_strata import ResidualStrata, residual_strata
+from dualhead_eval.labelled_pairs import HEADS, LabelledPairs, ModePartition
+from dualhead_eval.residual_strata import residual_strata
 from dualhead_policy.kinematics import position_map
 from dualhead_policy.sampling import Sampler, SamplingCoupling
 
@@ -21,18 +22,6 @@ FROZEN_PAIRS = 64 * 20
 FROZEN_NFE = 20
 #: Conditions sampled together. Their draws are keyed by the seed and the group's number.
 GROUP = 25
-HEADS = ("joint", "position")
-
-
-class ModePartition(Protocol):
-    """What an environment knows of its modes; see ``env.unwrapped.mode_partition``."""
-
-    n_modes: int
-    tau: float
-
-    def score(self, path: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
-
-    def to_dict(self) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True)
@@ -54,45 +43,6 @@ class EvaluationProtocol:
     coupling: SamplingCoupling = field(default_factory=SamplingCoupling)
 
 
-@dataclass(frozen=True)
-class LabelledPairs:
-    """Scores of sample pairs before any threshold: everything that counts and strata need.
-
-    Attributes:
-        label: Mode of each head's path regardless of tau, by head, each (..., conditions, pairs).
-        strength: What tau is compared with, by head, same shape.
-        residual: Mean distance of the two paths in mm, same shape.
-    """
-
-    label: Mapping[str, np.ndarray]
-    strength: Mapping[str, np.ndarray]
-    residual: np.ndarray
-
-    @classmethod
-    def from_paths(
-        cls, joint: np.ndarray, position: np.ndarray, condition: np.ndarray, partition: ModePartition
-    ) -> LabelledPairs:
-        """Score paths (conditions, pairs, H, d) in metres under conditions (conditions, C)."""
-        scores = {
-            head: partition.score(path, condition[:, None]) for head, path in zip(HEADS, (joint, position), strict=True)
-        }
-        residual = 1000 * np.linalg.norm(joint - position, axis=-1).mean(axis=-1)
-        return cls({h: s[0] for h, s in scores.items()}, {h: s[1] for h, s in scores.items()}, residual)
-
-    @classmethod
-    def join(cls, parts: Sequence[LabelledPairs]) -> LabelledPairs:
-        """Concatenate along the conditions."""
-        return cls(
-            {head: np.concatenate([p.label[head] for p in parts]) for head in HEADS},
-            {head: np.concatenate([p.strength[head] for p in parts]) for head in HEADS},
-            np.concatenate([p.residual for p in parts]),
-        )
-
-    def at(self, tau: float) -> dict[str, np.ndarray]:
-        """Labels of each head at threshold ``tau``, -1 below it."""
-        return {head: np.where(self.strength[head] >= tau, self.label[head], -1) for head in HEADS}
-
-
 def sample_pairs(
     sampler: Sampler,
     preprocess: Callable[[dict[str, torch.Tensor]], Mapping[str, torch.Tensor]],
@@ -101,6 +51,7 @@ def sample_pairs(
     partition: ModePartition,
     protocol: EvaluationProtocol,
     nfe: int,
+    direction: np.ndarray | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> LabelledPairs:
     """Sample ``protocol.pairs`` chunks of both heads under every condition and score their modes.
@@ -113,6 +64,7 @@ def sample_pairs(
         partition: The environment's mode partition.
         protocol: Pairs, seed and coupling.
         nfe: Euler steps.
+        direction: Direction that separates the modes of every condition (B, d), to split the residual along it.
         progress: Called with the number of conditions done.
     """
     condition = observation["observation.environment_state"]
@@ -135,6 +87,7 @@ def sample_pairs(
                 samples.position.double().cpu().numpy(),
                 condition[group],
                 partition,
+                None if direction is None else direction[group],
             )
         )
         if progress is not None:
@@ -171,9 +124,14 @@ def make_gate(
         [np.stack([joint_table([at[h] for h in HEADS], partition.n_modes) for at in row]) for row in labels]
     )
     by_head = {head: np.stack([np.stack([at[head] for at in row]) for row in labels]) for head in HEADS}
-    residual = np.stack([np.stack([pairs[nfe].residual] * len(all_taus)) for nfe in nfes])
-    strata: dict[str, ResidualStrata] = {
-        "position": residual_strata(residual, by_head["joint"], by_head["position"], unit="mm")
+    strata = {
+        component: residual_strata(
+            np.stack([np.stack([pairs[nfe].residuals[component]] * len(all_taus)) for nfe in nfes]),
+            by_head["joint"],
+            by_head["position"],
+            unit="mm",
+        )
+        for component in pairs[nfes[0]].residuals
     }
     return Gate(
         heads=HEADS,
@@ -204,6 +162,7 @@ def evaluate_sampler(
     partition: ModePartition,
     protocol: EvaluationProtocol,
     *,
+    direction: np.ndarray | None = None,
     target_probabilities: Sequence[float] | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Callable[[int], object] | None = None,
@@ -213,7 +172,9 @@ def evaluate_sampler(
     See :func:`sample_pairs` and :func:`make_gate` for the arguments.
     """
     pairs = {
-        nfe: sample_pairs(sampler, preprocess, kinematic_map, observation, partition, protocol, nfe, progress)
+        nfe: sample_pairs(
+            sampler, preprocess, kinematic_map, observation, partition, protocol, nfe, direction, progress
+        )
         for nfe in protocol.nfes
     }
     coupling = protocol.coupling

@@ -12,7 +12,8 @@ import gymnasium as gym
 import numpy as np
 
 from dualhead_envs.dataset_frames import SplitFrames, read_split
-from dualhead_eval.evaluation import ModePartition
+from dualhead_eval.labelled_pairs import ModePartition
+from dualhead_eval.residuals import mode_direction
 from dualhead_policy.sampling import Sampler
 
 
@@ -26,6 +27,8 @@ class ConditionBank:
         partition: The environment's mode partition.
         kinematic_map: The dataset's or environment's map from head A's space to the position.
         target_probabilities: Mode frequencies of the data.
+        direction: Direction that separates the modes of every condition (B, d), or None where a pair of
+            demonstrations is incomplete.
         env_kwargs: Keyword arguments of the environment.
         provenance: Where the conditions came from.
     """
@@ -35,6 +38,7 @@ class ConditionBank:
     partition: ModePartition
     kinematic_map: str
     target_probabilities: list[float] | None
+    direction: np.ndarray | None
     env_kwargs: dict[str, Any]
     provenance: dict[str, Any]
 
@@ -71,6 +75,7 @@ def open_conditions(root: str | Path, limit: int | None = None) -> ConditionBank
         )
     partition = environment_partition(frames)
     conditions = frames.conditions()
+    windows = frames.mode_windows(frames.sidecar.get("horizon", 16))
     keep = slice(None, limit)
     return ConditionBank(
         observation={key: value[keep] for key, value in conditions.observation.items()},
@@ -78,6 +83,7 @@ def open_conditions(root: str | Path, limit: int | None = None) -> ConditionBank
         partition=partition,
         kinematic_map=frames.sidecar["layout"],
         target_probabilities=frames.sidecar.get("mode_probabilities"),
+        direction=None if windows is None else mode_direction(windows[keep]),
         env_kwargs=frames.sidecar.get("env_kwargs", {}),
         provenance={
             "dataset": {

@@ -6,6 +6,8 @@ Beside the frames as executed (observations, dual action, reward), a rollout dat
 head
   in physical units, flattened, at decision frames (zeros elsewhere);
 - ``prediction.decision`` (1,): whether the policy decided in this frame;
+- ``certificate.*`` (1,): residual, verdict (its index), effect and capacity of the runtime certificate, which runs
+  beside the robot over all episodes;
 - ``meta/dualhead.json``: environment, horizon and n.
 
 The keys do not begin with ``action``, which LeRobot would take for an action. Every decision is a condition
@@ -15,7 +17,7 @@ of its own when the predictions are counted.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +26,14 @@ import numpy as np
 import torch
 
 from dualhead_envs.dataset_frames import read_columns
-from dualhead_eval.evaluation import LabelledPairs, make_gate
+from dualhead_eval.certificate_wrapper import CERTIFICATE_FEATURES, CertificateWrapper, certificate_columns
+from dualhead_eval.evaluation import make_gate
 from dualhead_eval.gate import Gate
+from dualhead_eval.labelled_pairs import LabelledPairs
 from dualhead_policy.kinematics import position_map
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.representation import RepresentationLayout
+from dualhead_policy.sampling import SamplingCoupling
 
 FORMAT = "dualhead-rollouts/1"
 OBSERVATIONS = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
@@ -45,7 +50,7 @@ def record_rollouts(
     samples: int = 2,
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Roll a policy out and record what it executed and what both heads predicted.
 
     At every decision ``samples`` chunks of both heads are drawn, each pair with a token of its own (if the policy
@@ -64,7 +69,7 @@ def record_rollouts(
         progress: Called with 1 after every episode.
 
     Returns:
-        ``success_rate`` and ``collision_rate`` over the episodes.
+        ``success_rate`` and ``collision_rate`` over the episodes, and the certificate's ``verdict``.
 
     Raises:
         FileExistsError: If ``root`` exists.
@@ -90,14 +95,16 @@ def record_rollouts(
             "shape": (samples * horizon * dim,),
             "names": None,
         }
+    features |= CERTIFICATE_FEATURES
     features["prediction.decision"] = {"dtype": "bool", "shape": (1,), "names": None}
     features["next.reward"] = {"dtype": "float32", "shape": (1,), "names": None}
     features["next.success"] = {"dtype": "bool", "shape": (1,), "names": None}
     dataset = _create_dataset(root, layout.fps, features)
+    decisions = _Decisions(policy, preprocess, samples, layout.name)
+    watched = CertificateWrapper(env, decisions, decision_interval=policy.config.n_action_steps or 1)
     outcomes = []
     for episode in range(episodes):
-        generator = torch.Generator().manual_seed(seed + episode)
-        outcomes.append(_roll_out(policy, preprocess, env, dataset, executed, samples, seed + episode, generator))
+        outcomes.append(_roll_out(watched, decisions, dataset, executed, seed + episode))
         dataset.save_episode()
         if progress is not None:
             progress(1)
@@ -118,7 +125,8 @@ def record_rollouts(
     staging.rename(root)
     env.close()
     success, collision = np.mean(outcomes, axis=0)
-    return {"success_rate": float(success), "collision_rate": float(collision)}
+    verdict = watched.certificate.verdict
+    return {"success_rate": float(success), "collision_rate": float(collision), "verdict": verdict}
 
 
 def _create_dataset(root: Path, fps: int, features: dict[str, dict]) -> Any:
@@ -133,50 +141,72 @@ def _create_dataset(root: Path, fps: int, features: dict[str, dict]) -> Any:
     )
 
 
-def _roll_out(
-    policy: DualheadPolicy,
-    preprocess: Callable[[Any], Any],
-    env: gym.Env,
-    dataset: Any,
-    executed: np.ndarray,
-    samples: int,
-    seed: int,
-    generator: torch.Generator,
-) -> tuple[bool, bool]:
-    from dualhead_policy.sampling import SamplingCoupling
+class _Decisions:
+    """Samples both heads whenever the certificate's wrapper decides, and keeps what the rollout needs.
 
+    Args:
+        policy: The policy.
+        preprocess: Its preprocessor.
+        samples: Chunks per head and decision.
+        kinematic_map: Map from head A's space to the position.
+        generator: Source of all draws of one episode.
+    """
+
+    def __init__(
+        self, policy: DualheadPolicy, preprocess: Callable[[Any], Any], samples: int, kinematic_map: str
+    ) -> None:
+        self.policy, self.preprocess, self.samples = policy, preprocess, samples
+        self.to_position = position_map(kinematic_map)
+        self.blank = {
+            f"prediction.{head}": np.zeros(samples * policy.config.chunk_size * dim, dtype=np.float32)
+            for head, dim in policy.head_dims.items()
+        }
+
+    def start(self, seed: int) -> None:
+        """Begin an episode: its draws and its token."""
+        self.policy.reset()
+        self.generator = torch.Generator().manual_seed(seed)
+        self.token: torch.Tensor | None = None
+
+    def __call__(self, observation: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Decide: sample both heads, keep the chunk to execute, return both heads' paths (n, H, d) in metres."""
+        policy = self.policy
+        raw = {OBSERVATIONS[key]: torch.from_numpy(observation[key])[None] for key in OBSERVATIONS}
+        token = None
+        if policy.tokens is not None:
+            token = policy.tokens.draw((1, self.samples), policy.config.token_draw, self.generator)
+            if self.token is not None:
+                token[:, 0] = self.token
+            self.token = token[:, 0]
+        drawn = policy.sample(
+            self.preprocess(raw), self.samples, coupling=SamplingCoupling(token=token), generator=self.generator
+        )
+        self.predictions = {
+            "prediction.joint": drawn.joint[0].flatten().cpu().numpy(),
+            "prediction.position": drawn.position[0].flatten().cpu().numpy(),
+        }
+        self.chunk = list(policy.dual_chunk(drawn)[0, : policy.config.n_action_steps].cpu().numpy())
+        joint = self.to_position(drawn.joint[0].double())
+        return joint.cpu().numpy(), drawn.position[0].double().cpu().numpy()
+
+
+def _roll_out(env: CertificateWrapper, decisions: _Decisions, dataset: Any, executed: np.ndarray, seed: int) -> Any:
+    """Run and record one episode; returns (success, collision)."""
+    decisions.start(seed)
     observation, info = env.reset(seed=seed)
-    token = None
-    if policy.tokens is not None:
-        token = policy.tokens.draw((1, samples), policy.config.token_draw, generator)
-    blank = {
-        f"prediction.{head}": np.zeros(samples * policy.config.chunk_size * dim, dtype=np.float32)
-        for head, dim in policy.head_dims.items()
-    }
-    chunk: list[np.ndarray] = []
-    predictions = blank
     done = False
     while not done:
-        decision = not chunk
-        if decision:
-            if token is not None:
-                assert policy.tokens is not None
-                others = policy.tokens.draw((1, samples - 1), policy.config.token_draw, generator)
-                token = torch.cat([token[:, :1], others], dim=1)
-            raw = {OBSERVATIONS[key]: torch.from_numpy(observation[key])[None] for key in OBSERVATIONS}
-            drawn = policy.sample(preprocess(raw), samples, coupling=SamplingCoupling(token=token), generator=generator)
-            heads = {"joint": drawn.joint[0].cpu().numpy(), "position": drawn.position[0].cpu().numpy()}
-            predictions = {f"prediction.{head}": value.ravel() for head, value in heads.items()}
-            chunk = list(policy.dual_chunk(drawn)[0, : policy.config.n_action_steps].cpu().numpy())
-        action = chunk.pop(0)
+        decided = info["coordination"]["decision"]
+        certificate = certificate_columns(info)
+        action = decisions.chunk.pop(0)
         after, reward, terminated, truncated, info = env.step(action[executed])
-        frame = {OBSERVATIONS[key]: observation[key] for key in OBSERVATIONS}
         dataset.add_frame(
             {
-                **frame,
+                **{OBSERVATIONS[key]: observation[key] for key in OBSERVATIONS},
                 "action": action,
-                **(predictions if decision else blank),
-                "prediction.decision": np.array([decision]),
+                **(decisions.predictions if decided else decisions.blank),
+                "prediction.decision": np.array([decided]),
+                **certificate,
                 "next.reward": np.array([reward], dtype=np.float32),
                 "next.success": np.array([bool(info["is_success"])]),
                 "task": str(env.unwrapped.task_description),  # type: ignore[attr-defined]

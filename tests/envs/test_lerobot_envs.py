@@ -34,9 +34,7 @@ class ScriptedPolicy(torch.nn.Module):
         condition = batch["observation.environment_state"].numpy()
         if self.step == 0:
             rng = np.random.default_rng(0)
-            self.path = self.generator.draw_paths(
-                rng, condition, self.generator.draw_modes(rng, len(condition))
-            )
+            self.path = self.generator.draw_paths(rng, condition, self.generator.draw_modes(rng, len(condition)))
         point = self.path[:, self.step]
         self.step += 1
         assert len(batch["task"]) == len(condition)

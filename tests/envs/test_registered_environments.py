@@ -62,9 +62,7 @@ def episode(env, seed, steps=8):
 
 def digest(env):
     observations = [returned[0] for returned in episode(env, seed=7)]
-    content = b"".join(
-        observation[key].tobytes() for observation in observations for key in sorted(observation)
-    )
+    content = b"".join(observation[key].tobytes() for observation in observations for key in sorted(observation))
     return hashlib.sha256(content).hexdigest()
 
 

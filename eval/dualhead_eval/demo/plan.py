@@ -11,13 +11,13 @@ class Budget:
     """Size of a demo.
 
     Attributes:
-        episodes: Training demonstrations in each dataset.
+        demonstrations: Training paths (ring) or pairs of demonstrations in all (robots) in each dataset.
         steps: Training steps of each policy, batches of 128.
         save_freq: Steps between checkpoints.
         pairs: Sample pairs per test condition for trained policies and the reference.
     """
 
-    episodes: int
+    demonstrations: int
     steps: int
     save_freq: int
     pairs: int
@@ -25,11 +25,19 @@ class Budget:
 
 @dataclass(frozen=True)
 class PlannedDataset:
-    """A dataset to record: its folder name, environment id and keyword arguments."""
+    """A dataset to record.
+
+    Attributes:
+        name: Its folder.
+        env_id: Environment id.
+        env_kwargs: Keyword arguments of the environment.
+        size: The recorder's argument for its size.
+    """
 
     name: str
     env_id: str
     env_kwargs: dict[str, Any]
+    size: str = "episodes"
 
 
 @dataclass(frozen=True)
@@ -72,8 +80,8 @@ class Plan:
 
 
 RING_BUDGETS = {
-    "smoke": Budget(episodes=10_000, steps=3_000, save_freq=1_000, pairs=256),
-    "full": Budget(episodes=50_000, steps=20_000, save_freq=5_000, pairs=1_280),
+    "smoke": Budget(demonstrations=10_000, steps=3_000, save_freq=1_000, pairs=256),
+    "full": Budget(demonstrations=50_000, steps=20_000, save_freq=5_000, pairs=1_280),
 }
 
 RING_PLAN = Plan(

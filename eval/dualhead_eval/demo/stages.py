@@ -60,19 +60,19 @@ class Demo:
 
     def record(self) -> None:
         """Record every dataset that is not there yet."""
-        from dualhead_envs.recording.ring_recorder import record_ring
+        from dualhead_envs.recording import record
 
         for dataset in self.plan.datasets:
             target = self.root / "data" / dataset.name
             if (target / "card.json").is_file():
                 continue
-            record_ring(
+            record(
                 dataset.env_id,
                 target,
-                episodes=self.budget.episodes,
                 seed=self.seed,
                 env_kwargs=dataset.env_kwargs,
                 progress=True,
+                **{dataset.size: self.budget.demonstrations},
             )
 
     def train(self) -> None:
@@ -151,6 +151,7 @@ class Demo:
                 seed=self.seed,
                 coupling=SamplingCoupling(source_noise_beta=row.source_noise_beta),
             ),
+            direction=bank.direction,
             target_probabilities=bank.target_probabilities,
             provenance={"label": label, **source.provenance, **bank.provenance},
         )

@@ -77,9 +77,7 @@ def test_every_column_is_the_one_that_lerobot_writes(by_lerobot, by_us, name):
 
 
 def test_info_is_the_one_that_lerobot_writes(by_lerobot, by_us):
-    assert json.loads((by_us / "meta/info.json").read_text()) == json.loads(
-        (by_lerobot / "meta/info.json").read_text()
-    )
+    assert json.loads((by_us / "meta/info.json").read_text()) == json.loads((by_lerobot / "meta/info.json").read_text())
 
 
 def test_statistics_are_the_ones_that_lerobot_computes(by_lerobot, by_us):

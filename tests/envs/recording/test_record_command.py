@@ -18,9 +18,7 @@ def dualhead_record(*arguments, cwd):
 
 
 def test_it_records_from_anywhere_and_says_what(tmp_path):
-    done = dualhead_record(
-        "--root", "ring", "--episodes", 50, "--conditions", 3, "--no-progress", cwd=tmp_path
-    )
+    done = dualhead_record("--root", "ring", "--episodes", 50, "--conditions", 3, "--no-progress", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "50 episodes" in done.stdout
     assert "mode_gap_cv" in done.stdout

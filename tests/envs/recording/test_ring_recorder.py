@@ -21,9 +21,7 @@ SMALL = {"episodes": 60, "conditions": 4}
 
 
 def files_of(root):
-    return {
-        str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()
-    }
+    return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
 
 
 def columns_of(split):
@@ -37,9 +35,7 @@ def columns_of(split):
 @pytest.fixture(scope="module", params=["orthogonal", "polar", "nullspace"])
 def recorded(request, tmp_path_factory):
     kwargs = {"representation": request.param, "mode_probabilities": [0.7, 0.2, 0.1]}
-    return record_ring(
-        "RotatingRing-v3", tmp_path_factory.mktemp("ring") / "data", env_kwargs=kwargs, **SMALL
-    )
+    return record_ring("RotatingRing-v3", tmp_path_factory.mktemp("ring") / "data", env_kwargs=kwargs, **SMALL)
 
 
 @pytest.mark.parametrize("split", ["train", "val", "test"])

@@ -168,9 +168,7 @@ def test_vector_environment_restores_one_state_a_copy():
         env.reset(seed=[1, 2, 3])
 
 
-@pytest.mark.parametrize(
-    "actions", [np.zeros((3, 2)), np.zeros(2), np.full((4, 2), np.nan), np.zeros((4, 3))]
-)
+@pytest.mark.parametrize("actions", [np.zeros((3, 2)), np.zeros(2), np.full((4, 2), np.nan), np.zeros((4, 3))])
 def test_vector_environment_refuses_bad_actions(actions):
     env = gym.make_vec("RotatingRing-v2", num_envs=4)
     env.reset(seed=0)
