@@ -101,8 +101,13 @@ def _label(args: argparse.Namespace) -> str:
 def _sampled(args: argparse.Namespace) -> Gate:
     from tqdm import tqdm
 
-    from dualhead_eval.evaluation import EvaluationProtocol, evaluate_sampler
-    from dualhead_eval.evaluation_sources import open_conditions, open_exact_reference, open_policy
+    from dualhead_eval.evaluation import EvaluationProtocol
+    from dualhead_eval.evaluation_sources import (
+        evaluate_source,
+        open_conditions,
+        open_exact_reference,
+        open_policy,
+    )
     from dualhead_policy.sampling import SamplingCoupling
 
     if args.dataset is None:
@@ -112,11 +117,6 @@ def _sampled(args: argparse.Namespace) -> Gate:
         source = open_exact_reference(bank, token=args.token, token_replacement_prob=args.token_replacement_prob)
     else:
         source = open_policy(args.policy)
-    if source.kinematic_map != bank.kinematic_map:
-        raise ValueError(
-            f"the policy's layout is {source.kinematic_map!r}, the dataset's is {bank.kinematic_map!r}: evaluate "
-            "on a dataset of the layout that the policy was trained on"
-        )
     protocol = EvaluationProtocol(
         pairs=args.pairs,
         nfes=args.nfe,
@@ -125,19 +125,7 @@ def _sampled(args: argparse.Namespace) -> Gate:
         coupling=SamplingCoupling(source_noise_beta=args.source_noise_beta, share_token=not args.redraw_token),
     )
     with tqdm(total=len(bank.pair_ids) * len(args.nfe), unit="condition", desc="sampling") as bar:
-        return evaluate_sampler(
-            source.sampler,
-            source.preprocess,
-            source.kinematic_map,
-            bank.observation,
-            bank.pair_ids,
-            bank.partition,
-            protocol,
-            direction=bank.direction,
-            target_probabilities=bank.target_probabilities,
-            provenance={"label": _label(args), **source.provenance, **bank.provenance},
-            progress=bar.update,
-        )
+        return evaluate_source(source, bank, protocol, label=_label(args), progress=bar.update)
 
 
 def _rollouts(args: argparse.Namespace) -> Gate:

@@ -12,6 +12,8 @@ import gymnasium as gym
 import numpy as np
 
 from dualhead_envs.dataset_frames import SplitFrames, read_split
+from dualhead_eval.evaluation import EvaluationProtocol, evaluate_sampler
+from dualhead_eval.gate import Gate
 from dualhead_eval.labelled_pairs import ModePartition
 from dualhead_eval.residuals import mode_direction
 from dualhead_policy.sampling import Sampler
@@ -152,6 +154,39 @@ def open_exact_reference(bank: ConditionBank, **options: Any) -> Source:
     known = {name: bank.env_kwargs[name] for name in names if bank.env_kwargs.get(name) is not None}
     reference = ExactReference(bank.partition.n_modes, representation, **known, **options)
     return Source(reference, dict, reference.kinematic_map, reference.describe())
+
+
+def evaluate_source(
+    source: Source,
+    bank: ConditionBank,
+    protocol: EvaluationProtocol,
+    *,
+    label: str,
+    progress: Callable[[int], object] | None = None,
+) -> Gate:
+    """Evaluate ``source`` under the conditions of ``bank``; see :func:`dualhead_eval.evaluation.evaluate_sampler`.
+
+    Raises:
+        ValueError: If they have different layouts.
+    """
+    if source.kinematic_map != bank.kinematic_map:
+        raise ValueError(
+            f"the policy's layout is {source.kinematic_map!r}, the dataset's is {bank.kinematic_map!r}: evaluate "
+            "on a dataset of the layout that the policy was trained on"
+        )
+    return evaluate_sampler(
+        source.sampler,
+        source.preprocess,
+        source.kinematic_map,
+        bank.observation,
+        bank.pair_ids,
+        bank.partition,
+        protocol,
+        direction=bank.direction,
+        target_probabilities=bank.target_probabilities,
+        provenance={"label": label, **source.provenance, **bank.provenance},
+        progress=progress,
+    )
 
 
 def training_summary(folder: Path) -> dict[str, Any] | None:

@@ -172,18 +172,16 @@ class _Decisions:
         """Decide: sample both heads, keep the chunk to execute, return both heads' paths (n, H, d) in metres."""
         policy = self.policy
         raw = {OBSERVATIONS[key]: torch.from_numpy(observation[key])[None] for key in OBSERVATIONS}
-        token = None
-        if policy.tokens is not None:
-            token = policy.tokens.draw((1, self.samples), policy.config.token_draw, self.generator)
+        batch = self.preprocess(raw)
+        token = policy.draw_tokens(batch, self.samples, self.generator)
+        # A window token belongs to its window; the others are the episode's.
+        if token is not None and policy.config.token != "window":
             if self.token is not None:
                 token[:, 0] = self.token
             self.token = token[:, 0]
-        drawn = policy.sample(
-            self.preprocess(raw), self.samples, coupling=SamplingCoupling(token=token), generator=self.generator
-        )
+        drawn = policy.sample(batch, self.samples, coupling=SamplingCoupling(token=token), generator=self.generator)
         self.predictions = {
-            "prediction.joint": drawn.joint[0].flatten().cpu().numpy(),
-            "prediction.position": drawn.position[0].flatten().cpu().numpy(),
+            f"prediction.{head}": getattr(drawn, head)[0].flatten().cpu().numpy() for head in policy.head_dims
         }
         self.chunk = list(policy.dual_chunk(drawn)[0, : policy.config.n_action_steps].cpu().numpy())
         joint = self.to_position(drawn.joint[0].double())

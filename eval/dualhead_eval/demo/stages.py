@@ -13,8 +13,15 @@ from rich.console import Console
 from rich.progress import Progress
 
 from dualhead_eval.demo.plan import Budget, Plan, PlannedRow
-from dualhead_eval.evaluation import EvaluationProtocol, evaluate_sampler
-from dualhead_eval.evaluation_sources import ConditionBank, Source, open_conditions, open_exact_reference
+from dualhead_eval.evaluation import EvaluationProtocol
+from dualhead_eval.evaluation_sources import (
+    ConditionBank,
+    Source,
+    evaluate_source,
+    open_conditions,
+    open_exact_reference,
+    open_policy,
+)
 from dualhead_eval.gate import Gate, read_gate, write_gate
 
 SETTINGS = "demo.json"
@@ -104,8 +111,6 @@ class Demo:
 
     def evaluate(self) -> list[tuple[PlannedRow, Gate, Gate | None]]:
         """Evaluate every row, and its reference where there is one; returns (row, trained, reference)."""
-        from dualhead_eval.evaluation_sources import open_policy
-
         total = sum(1 + (row.reference is not None) for row in self.plan.rows)
         results = []
         with Progress(console=self.console) as progress:
@@ -139,22 +144,12 @@ class Demo:
             return read_gate(path)
         source: Source = open_source()  # type: ignore[operator]
         label = row.title if kind == "trained" else f"{row.title} (reference)"
-        gate = evaluate_sampler(
-            source.sampler,
-            source.preprocess,
-            source.kinematic_map,
-            bank.observation,
-            bank.pair_ids,
-            bank.partition,
-            EvaluationProtocol(
-                pairs=self.budget.pairs,
-                seed=self.seed,
-                coupling=SamplingCoupling(source_noise_beta=row.source_noise_beta),
-            ),
-            direction=bank.direction,
-            target_probabilities=bank.target_probabilities,
-            provenance={"label": label, **source.provenance, **bank.provenance},
+        protocol = EvaluationProtocol(
+            pairs=self.budget.pairs,
+            seed=self.seed,
+            coupling=SamplingCoupling(source_noise_beta=row.source_noise_beta),
         )
+        gate = evaluate_source(source, bank, protocol, label=label)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_gate(gate, path)
         return gate
