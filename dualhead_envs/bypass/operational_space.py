@@ -14,6 +14,8 @@ with a force that is too small when the rotation is held as well.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numba
 import numpy as np
 
@@ -22,7 +24,15 @@ JOINTS = 7
 POSTURE_STIFFNESS = 10.0
 
 
-@numba.njit(cache=True)
+def _compiled(function: Callable) -> Callable:
+    """Compile ``function``, and keep the result on disk where there is a place for it."""
+    try:
+        return numba.njit(cache=True)(function)
+    except RuntimeError:  # neither the package's folder nor the user's cache can be written
+        return numba.njit(function)
+
+
+@_compiled
 def _inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a symmetric positive definite matrix (n, n), by Cholesky's factor."""
     n = matrix.shape[0]
@@ -48,7 +58,7 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
     return inverse_factor.T @ inverse_factor
 
 
-@numba.njit(cache=True)
+@_compiled
 def rotate(vector: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """``exp([vector]) @ rotation``: the (3, 3) ``rotation`` turned about ``vector`` (3,) by its length in rad."""
     angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
@@ -59,7 +69,7 @@ def rotate(vector: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return (np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)) @ rotation
 
 
-@numba.njit(cache=True)
+@_compiled
 def operational_space_torque(
     mass: np.ndarray,
     jacobian_position: np.ndarray,

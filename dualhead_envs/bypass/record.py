@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import threading
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -112,7 +114,7 @@ def _simulate(store: ShardStore, env_id: str, pairs: int, seed: int, workers: in
         # As many as are missing at a time: nothing is simulated in vain, and rejections get another round.
         while accepted < pairs:
             batch = islice(attempts, pairs - accepted)
-            for attempt, episodes in pool(delayed(_attempt)(env_id, seed, attempt) for attempt in batch):
+            for attempt, episodes in pool(delayed(_attempt)(env_id, seed, attempt, os.getpid()) for attempt in batch):
                 store.write(_shard(attempt), episodes)
                 accepted += bool(episodes)
                 rejected += not episodes
@@ -166,10 +168,11 @@ def _first_pairs(store: ShardStore, number: int) -> tuple[list[tuple[Episode, Ep
     return pairs, rejections
 
 
-def _attempt(env_id: str, seed: int, attempt: int) -> tuple[int, list[Episode]]:
-    """The two episodes of one initial state, or none if a mode failed."""
+def _attempt(env_id: str, seed: int, attempt: int, parent: int) -> tuple[int, list[Episode]]:
+    """The two episodes of one initial state, or none if a mode failed; ``parent`` is the recording process."""
     from dualhead_envs.bypass.demonstrations import demonstrate_pair
 
+    _end_with(parent)
     env = _expert_env(env_id)
     pair = demonstrate_pair(env, int(np.random.SeedSequence(seed, spawn_key=(attempt,)).generate_state(1)[0]))
     if not pair.success:
@@ -199,6 +202,19 @@ def _attempt(env_id: str, seed: int, attempt: int) -> tuple[int, list[Episode]]:
 def _expert_env(env_id: str) -> Any:
     """The environment that the expert acts in; made once in every process."""
     return gym.make(f"dualhead_envs:{env_id}", control="pose").unwrapped
+
+
+@cache
+def _end_with(parent: int) -> None:
+    """Let this process end soon after the recording process, which may be killed before it can tell."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    if os.getpid() != parent:
+        threading.Thread(target=watch, daemon=True).start()
 
 
 def _shard(attempt: int) -> str:

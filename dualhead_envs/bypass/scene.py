@@ -11,7 +11,10 @@ versions of robosuite and MuJoCo and by the edited MJCF itself.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from typing import Literal
+
+import numpy as np
 
 from dualhead_envs.bypass.lift_model import cache_directory, cache_key, lift_mjcf, write_atomically
 from dualhead_envs.bypass.physics_engine import mujoco
@@ -127,18 +130,18 @@ def load_scene(task: BypassTask, form: SceneForm) -> mujoco.MjModel:
     if form == "visual":  # 64 MB: not worth keeping
         return mujoco.MjModel.from_xml_string(mjcf)
     path = cache_directory() / f"{task.env_id}-{form}-{cache_key(mjcf)}.mjb"
-    if not path.exists():
-        model = mujoco.MjModel.from_xml_string(mjcf)
-        try:
-            write_atomically(path, _binary(model))
-        except OSError:  # a read-only or full cache costs time, not the environment
-            return model
-    return mujoco.MjModel.from_binary_path(str(path))
+    if path.exists():
+        # A damaged file is compiled anew.
+        with suppress(ValueError):
+            return mujoco.MjModel.from_binary_path(str(path))
+    model = mujoco.MjModel.from_xml_string(mjcf)
+    with suppress(OSError):  # a read-only or full cache costs time, not the environment
+        write_atomically(path, _binary(model))
+    # As every later process reads it.
+    return mujoco.MjModel.from_binary_path(str(path)) if path.exists() else model
 
 
 def _binary(model: mujoco.MjModel) -> bytes:
-    import numpy as np
-
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return buffer.tobytes()
