@@ -9,28 +9,8 @@ from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
 from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig, LRSchedulerConfig
 
+from dualhead_policy.configuration_checks import check_fields
 from dualhead_policy.representation import RepresentationLayout
-
-CHOICES = {
-    "conditioning": ("film", "concat"),
-    "preconditioning": ("gaussian", "none"),
-    "token": (None, "oracle", "window"),
-    "token_draw": ("uniform", "marginal"),
-    "lr_schedule": ("cosine", "constant"),
-    "normalize_actions": ("auto", "mean_std", "identity"),
-    "statistics": ("keep", "replace"),
-}
-PROBABILITIES = ("source_noise_beta", "token_replacement_prob", "token_null_prob")
-POSITIVE = (
-    "chunk_size",
-    "encoder_dim",
-    "velocity_width",
-    "velocity_layers",
-    "time_frequencies",
-    "num_inference_steps",
-    "optimizer_lr",
-    "action_std_floor",
-)
 
 
 @PreTrainedConfig.register_subclass("dualhead")
@@ -42,21 +22,43 @@ class DualheadConfig(PreTrainedConfig):
         chunk_size: H, actions in a chunk (sec:heads).
         n_action_steps: Actions executed before the next decision. None: 8, or the whole chunk where the
             layout's episodes are one chunk long (the ring).
+        padded_steps: Actions of a training window that may lie beyond its episode's end, where the last action is
+            repeated (the robot holds). Without them no window begins in an episode's last frames, and a policy in
+            closed loop does not know how to finish. None: 0 on the ring, as many as possible elsewhere.
         encoder_dim: Width of the condition encoder E(c).
         velocity_layers: Hidden layers of each head's velocity field.
         velocity_width: Units in each hidden layer.
         conditioning: ``"film"`` (time and context modulate every layer; trains faster) or ``"concat"`` (the
             paper's construction).
-        preconditioning: ``"gaussian"`` (the field adds its network to the optimal linear velocity of one
-            Gaussian of the data's scale) or ``"none"`` (the paper's bare network). See docs/choices.md.
+        preconditioning: What the field adds its network to: ``"gaussian"``, the optimal linear velocity of one
+            Gaussian of each dimension's scale; ``"linear_gaussian"``, that of the training windows' linear
+            regression on the observation (see ``chunk_frame``); ``"none"``, nothing, the paper's bare network;
+            ``"auto"``: gaussian on the ring, linear_gaussian elsewhere. None of them changes the loss's minimiser.
         time_frequencies: Frequencies 1..n of the time features.
         source_noise_beta: beta of sec:heads: 1 independent source noise, 0 fully shared.
-        token: Shared discrete token: None, ``"oracle"`` (the demonstration's mode) or ``"window"`` (k-means on
-            the training windows' positions).
+        token: Shared discrete token: None, ``"oracle"`` (the demonstration's mode), ``"episode"`` (k-means on whole
+            transport trajectories) or ``"window"`` (k-means on the training windows' positions).
         n_tokens: Number of tokens; None: as many as the dataset has modes.
-        token_draw: Distribution of tokens at sampling: ``"uniform"``, or ``"marginal"`` of the training data.
+        token_draw: Distribution of tokens at sampling: ``"uniform"``; ``"marginal"``, their frequency in the
+            training data; or ``"learned"``, a categorical prior given the observation, trained by cross-entropy.
         token_replacement_prob: Probability that a training token is replaced by a uniformly random token.
         token_null_prob: Probability that a training token is replaced by the null token (all zeros).
+        token_nmi: Normalised mutual information of the training tokens with the demonstrations' modes; filled in
+            when tokens are fitted, for the model card.
+        latent: Shared continuous latent: None, ``"prior"`` (standard normal, independent of the data) or
+            ``"posterior"`` (amortised Gaussian posterior in training, standard normal at sampling).
+        latent_dim: Its dimensions; 0 is the anchor, whose heads see 32 zeros in its place.
+        kl_weight: Weight of the posterior's divergence from the standard normal, in nats summed over dimensions.
+        free_bits: Nats of each latent dimension that are not penalised.
+        consistency_weight: lambda of eq:cons: weight of the squared distance between the position of the joint head's
+            clean endpoint and the position head's, at the same time and sample, all times weighing alike.
+        consistency_norm: W of eq:cons: ``"whitened"``, the inverse variance of the position targets, so that lambda
+            weighs like the flow loss; or ``"meters"``.
+        rotation_head: Whether a third head predicts the orientation, by flow matching on its 6-D representation.
+        rotation_consistency_weight: Weight of the squared geodesic angle (rad^2) between the rotation of the joint
+            head's clean endpoint and the rotation head's.
+        kinematic_map: The map from joints to the position, instead of the one that the dataset's names imply: for a
+            robot of your own ``"file:PATH#LINK"`` with its URDF or MJCF.
         normalize_actions: ``"mean_std"``, ``"identity"``, or ``"auto"``: identity on the ring, where trained
             networks and the exact reference share one noise scale, mean_std elsewhere.
         action_std_floor: A standard deviation below this counts as 1 (constant dimensions).
@@ -71,12 +73,13 @@ class DualheadConfig(PreTrainedConfig):
 
     chunk_size: int = 16
     n_action_steps: int | None = None
+    padded_steps: int | None = None
 
     encoder_dim: int = 256
     velocity_layers: int = 4
     velocity_width: int = 256
     conditioning: str = "film"
-    preconditioning: str = "gaussian"
+    preconditioning: str = "auto"
     time_frequencies: int = 10
 
     source_noise_beta: float = 1.0
@@ -86,6 +89,18 @@ class DualheadConfig(PreTrainedConfig):
     token_draw: str = "uniform"
     token_replacement_prob: float = 0.0
     token_null_prob: float = 0.0
+    token_nmi: float | None = None
+
+    latent: str | None = None
+    latent_dim: int = 16
+    kl_weight: float = 1.0
+    free_bits: float = 0.0
+
+    consistency_weight: float = 0.0
+    consistency_norm: str = "whitened"
+    rotation_head: bool = False
+    rotation_consistency_weight: float = 0.0
+    kinematic_map: str | None = None
 
     device: str | None = None
 
@@ -118,45 +133,7 @@ class DualheadConfig(PreTrainedConfig):
             accelerator = torch.accelerator.current_accelerator(check_available=True)
             self.device = accelerator.type if accelerator is not None else "cpu"
         super().__post_init__()
-        for name, choices in CHOICES.items():
-            value = getattr(self, name)
-            if value not in choices:
-                raise ValueError(f"policy.{name}={value!r} is not one of {list(choices)}: choose one of these")
-        for name in PROBABILITIES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"policy.{name}={getattr(self, name)} is outside [0, 1]: give a value inside")
-        for name in POSITIVE:
-            if getattr(self, name) <= 0:
-                raise ValueError(f"policy.{name}={getattr(self, name)} must be positive: give a larger value")
-        if self.n_action_steps is not None and not 1 <= self.n_action_steps <= self.chunk_size:
-            raise ValueError(
-                f"policy.n_action_steps={self.n_action_steps} must lie in 1..chunk_size={self.chunk_size}: "
-                "a policy cannot execute more actions than it predicts"
-            )
-        if self.token is None:
-            for name in ("token_replacement_prob", "token_null_prob"):
-                if getattr(self, name) > 0:
-                    raise ValueError(
-                        f"policy.{name}={getattr(self, name)} needs a token: set policy.token to 'oracle' or "
-                        f"'window', or leave {name} at 0"
-                    )
-            if self.n_tokens is not None:
-                raise ValueError(
-                    f"policy.n_tokens={self.n_tokens} needs a token: set policy.token to 'oracle' or 'window', "
-                    "or leave n_tokens out"
-                )
-        elif self.n_tokens is not None and self.n_tokens < 2:
-            raise ValueError(f"policy.n_tokens={self.n_tokens} cannot coordinate anything: give at least 2")
-        if self.token_replacement_prob + self.token_null_prob > 1:
-            raise ValueError(
-                f"policy.token_replacement_prob={self.token_replacement_prob} and "
-                f"policy.token_null_prob={self.token_null_prob} add up to more than 1: lower one of them"
-            )
-        if self.normalization_mapping.get("ACTION") != NormalizationMode.IDENTITY:
-            raise ValueError(
-                "policy.normalization_mapping must leave ACTION as IDENTITY: the action scale lives inside the "
-                "policy; set policy.normalize_actions instead"
-            )
+        check_fields(self)
 
     @property
     def observation_delta_indices(self) -> None:
@@ -172,8 +149,8 @@ class DualheadConfig(PreTrainedConfig):
 
     @property
     def drop_n_last_frames(self) -> int:
-        """Keeps windows that would be padded beyond the episode's end out of training."""
-        return self.chunk_size - 1
+        """Keeps windows that would be padded beyond ``padded_steps`` out of training."""
+        return self.chunk_size - 1 - (self.padded_steps or 0)
 
     def get_optimizer_preset(self) -> AdamConfig:
         return AdamConfig(

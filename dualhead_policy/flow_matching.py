@@ -45,8 +45,8 @@ def coupled_source_noise(
 
 
 def interpolate(source: Tensor, target: Tensor, time: Tensor) -> Tensor:
-    """x_t = (1 - t) x_0 + t x_1 for chunks (B, H, d) and times (B,)."""
-    return torch.lerp(source, target, time[:, None, None])
+    """x_t = (1 - t) x_0 + t x_1 for chunks (B, ...) and times (B,)."""
+    return torch.lerp(source, target, time.reshape(-1, *[1] * (source.ndim - 1)))
 
 
 def integrate_euler(velocity: Callable[[Tensor, float], Tensor], source: Tensor, num_steps: int) -> Tensor:

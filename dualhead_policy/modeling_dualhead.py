@@ -10,21 +10,29 @@ import torch
 from lerobot.configs import FeatureType
 from lerobot.policies import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
-from torch import Tensor
+from torch import Tensor, nn
 
 from dualhead_policy.action_scale import ActionScale
 from dualhead_policy.checkpoint_loading import load_strictly
+from dualhead_policy.chunk_frame import ChunkFrame
+from dualhead_policy.chunk_frame_fitting import fit_chunk_frames
+from dualhead_policy.chunk_sampling import sample_chunks
+from dualhead_policy.configuration_defaults import fill_in_defaults, normalized_dimensions
 from dualhead_policy.configuration_dualhead import DualheadConfig
-from dualhead_policy.flow_matching import coupled_source_noise, integrate_euler, interpolate
+from dualhead_policy.gripper import GripperOutput
 from dualhead_policy.heads import DualheadNetwork
-from dualhead_policy.keyed_random import keyed_generator
-from dualhead_policy.representation import RepresentationLayout
+from dualhead_policy.kinematics import rotation_map
+from dualhead_policy.representation import resolve_representation
+from dualhead_policy.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
-from dualhead_policy.token_fitting import episode_modes, fit_tokens
+from dualhead_policy.shared_latent import CODE_DIM, SharedLatent
+from dualhead_policy.token_fitting import centroid_width, fit_tokens
+from dualhead_policy.token_prior import TokenPrior
 from dualhead_policy.tokens import TokenTable
+from dualhead_policy.training_objective import latent_sensitivity, training_loss
 
-#: Rows integrated together while sampling: small enough for the activations to stay in cache.
-SAMPLING_ROWS = 2048
+#: Training steps between two measurements of the latent's influence.
+SENSITIVITY_EVERY = 200
 
 
 class DualheadPolicy(PreTrainedPolicy):
@@ -53,79 +61,68 @@ class DualheadPolicy(PreTrainedPolicy):
     ):
         super().__init__(config)
         config.validate_features()
-        self.representation = self._resolve_representation(dataset_meta)
-        if config.n_action_steps is None:
-            one_chunk_episodes = self.representation.kinematic_map.startswith("ring/")
-            config.n_action_steps = config.chunk_size if one_chunk_episodes else min(8, config.chunk_size)
-        if config.seed is None:
-            config.seed = torch.initial_seed() % 2**31
+        self.representation = resolve_representation(config, dataset_meta)
+        fill_in_defaults(config, self.representation)
         self.observation_keys = [
             key
             for key, feature in config.input_features.items()
             if feature.type in (FeatureType.STATE, FeatureType.ENV)
         ]
+        observation_dim = sum(config.input_features[key].shape[0] for key in self.observation_keys)
         slices = self.representation.slices
-        self.head_slices = {head: slices[head] for head in ("joint", "position")}
+        heads = ("joint", "position", "rotation") if config.rotation_head else ("joint", "position")
+        self.head_slices = {head: slices[head] for head in heads}
         self.head_dims = {head: part.stop - part.start for head, part in self.head_slices.items()}
+        chunk_dims = {head: config.chunk_size * dim for head, dim in self.head_dims.items()}
         self.register_buffer("training_step", torch.zeros((), dtype=torch.int64))
         self.action_scale = ActionScale(len(self.representation.names))
-        if dataset_stats is not None:
-            self.fit_action_scale(dataset_stats)
-        elif dataset_meta is not None:
-            raise ValueError("the dataset comes without statistics: expected meta/stats.json; record the dataset again")
+        framed = config.preconditioning == "linear_gaussian"
+        self.frames = nn.ModuleDict({h: ChunkFrame(observation_dim, n) for h, n in chunk_dims.items() if framed})
+        self._fit_scales(dataset_stats, dataset_meta)
+        self._transport: Tensor | None = None
         self.tokens = self._make_tokens(dataset_meta)
         self.network = DualheadNetwork(
-            sum(config.input_features[key].shape[0] for key in self.observation_keys),
+            observation_dim,
             self.head_dims,
             chunk_size=config.chunk_size,
-            token_dim=self.tokens.n_tokens if self.tokens is not None else 0,
+            token_dim=self.tokens.n_tokens if self.tokens else CODE_DIM if config.latent else 0,
             encoder_dim=config.encoder_dim,
             width=config.velocity_width,
             n_layers=config.velocity_layers,
             n_frequencies=config.time_frequencies,
             conditioning=config.conditioning,
-            preconditioned=config.preconditioning == "gaussian",
+            preconditioned=config.preconditioning != "none",
         )
+        inferred = sum(chunk_dims.values()) + config.encoder_dim if config.latent == "posterior" else 0
+        self.shared_latent = SharedLatent(config.latent_dim, inferred) if config.latent else None
+        self.token_prior: TokenPrior | None = None
+        if self.tokens is not None and config.token_draw == "learned":
+            self.token_prior = TokenPrior(config.encoder_dim, self.tokens.n_tokens)
+        self.gripper = GripperOutput(observation_dim, config.chunk_size) if self.representation.gripper else None
         self.reset()
 
     # --- construction and loading ------------------------------------------------------------------------
 
-    def _resolve_representation(self, dataset_meta: Any | None) -> RepresentationLayout:
-        config = self.config
-        if dataset_meta is not None:
-            given = RepresentationLayout.from_names(dataset_meta.features[ACTION].get("names"))
-            if config.representation is None:
-                config.representation = given
-            config.representation.require_same(given, owner="the policy", given=f"dataset {dataset_meta.repo_id}")
-        if config.representation is None:
-            raise ValueError(
-                "a new dualhead policy needs a dataset to learn its action layout from: give --dataset.repo_id "
-                "and --dataset.root, or load a trained policy with --policy.path"
-            )
-        given_name = getattr(config.action_feature, "layout_name", None)
-        if given_name is not None and given_name != config.representation.kinematic_map:
-            raise ValueError(
-                f"the environment's layout is {given_name!r}, the policy's is "
-                f"{config.representation.kinematic_map!r}: evaluate in the environment and representation that the "
-                "policy was trained on"
-            )
-        width = config.action_feature.shape[0]
-        if width != len(config.representation.names):
-            raise ValueError(
-                f"the environment or dataset has {width} action dimensions, the policy's "
-                f"{config.representation.kinematic_map!r} layout has {len(config.representation.names)}: use the "
-                "environment and representation that the policy was trained on"
-            )
-        return config.representation
-
-    def fit_action_scale(self, stats: Mapping[str, Mapping[str, Any]]) -> None:
-        """Set the action scale from dataset statistics; the ring and rotations stay in physical units."""
-        mode = self.config.normalize_actions
-        if mode == "auto":
-            mode = "identity" if self.representation.kinematic_map.startswith("ring/") else "mean_std"
-        rotation = set(self.representation.rotation)
-        normalized = [mode == "mean_std" and name not in rotation for name in self.representation.names]
+    def _fit_scales(self, stats: Mapping[str, Mapping[str, Any]] | None, dataset_meta: Any | None) -> None:
+        """Set action scale and frames from the training data; the ring and rotations stay in physical units."""
+        if stats is None:
+            if dataset_meta is not None:
+                raise ValueError(
+                    "the dataset comes without statistics: expected meta/stats.json; record the dataset again"
+                )
+            return
+        normalized = normalized_dimensions(self.config, self.representation)
         self.action_scale.fit(stats, normalized=normalized, std_floor=self.config.action_std_floor)
+        if self.frames and dataset_meta is not None:
+            fit_chunk_frames(
+                {head: self.frame(head) for head in self.frames},
+                self.config,
+                dataset_meta.root,
+                stats,
+                self.action_scale,
+                self.head_slices,
+                self.observation_keys,
+            )
 
     def _make_tokens(self, dataset_meta: Any | None) -> TokenTable | None:
         config = self.config
@@ -134,20 +131,25 @@ class DualheadPolicy(PreTrainedPolicy):
         if dataset_meta is None:
             if config.n_tokens is None:
                 raise ValueError("policy.n_tokens is missing from the configuration: give the number of tokens")
-            window_dim = config.chunk_size * self.head_dims["position"] if config.token == "window" else 0
-            return TokenTable(config.n_tokens, window_dim)
-        if config.token == "oracle":
+            return TokenTable(config.n_tokens, centroid_width(config, self.head_dims["position"]))
+        fitted = fit_tokens(config, dataset_meta.root, self.head_slices["position"])
+        self._transport = fitted.transport
+        if fitted.episode_token is not None:
             # Needed in training only: rebuilt from the dataset, not part of the checkpoint.
-            self.register_buffer("episode_mode", episode_modes(dataset_meta.root), persistent=False)
-        return fit_tokens(config, dataset_meta.root, self.head_slices["position"])
+            self.register_buffer("episode_token", fitted.episode_token, persistent=False)
+        return fitted.table
 
     @classmethod
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
         # LeRobot asks for a lenient load; a policy with tensors missing would run and be wrong.
-        fitted = {name: buffer.clone() for name, buffer in model.action_scale.named_buffers()}
+        scales = nn.ModuleDict({"action_scale": model.action_scale, "frames": model.frames})
+        fitted = {name: buffer.clone() for name, buffer in scales.named_buffers()}
         load_strictly(model, model_file, map_location)
         if model.config.statistics == "replace":
-            model.action_scale.load_state_dict(fitted)
+            scales.load_state_dict(fitted)
+        if model._transport is not None:
+            # The numbers of a new clustering mean nothing to this checkpoint's heads: its own centroids decide.
+            model.episode_token = model.tokens.assign(model._transport.to(model.tokens.centroids.device))
         return model
 
     def get_optim_params(self) -> Any:
@@ -159,10 +161,11 @@ class DualheadPolicy(PreTrainedPolicy):
         """The training loss on a batch of preprocessed observations and physical action windows.
 
         Args:
-            batch: Observations (B, dim) and ``action`` (B, H, D); ``episode_index`` (B,) for oracle tokens.
+            batch: Observations (B, dim) and ``action`` (B, H, D); ``episode_index`` (B,) for oracle and
+                episode tokens.
 
         Returns:
-            The loss, and each head's share of it.
+            The loss, and the share of each head and mechanism.
 
         Raises:
             ValueError: If an action is not finite or the windows have another shape.
@@ -176,45 +179,24 @@ class DualheadPolicy(PreTrainedPolicy):
             )
         if not torch.isfinite(action).all():
             raise ValueError("the batch holds a non-finite action: drop that episode or record the dataset again")
-        loss, parts = self.compute_loss(self._observation(batch), action, self._training_tokens(batch))
-        return loss, {f"loss_{head}": part.item() for head, part in parts.items()}
+        observation = self._observation(batch)
+        loss, parts = self.compute_loss(observation, action, self._training_tokens(batch))
+        report = {f"loss_{name}": part.item() for name, part in parts.items()}
+        if self.training_step % SENSITIVITY_EVERY == 0:
+            report |= {f"latent_sensitivity_{h}": change for h, change in self.sensitivity(observation, action).items()}
+        return loss, report
 
     def compute_loss(
         self, observation: Tensor, action: Tensor, token: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Flow-matching loss (eq:cfm), the sum over heads of the mean squared error per coordinate.
+        """The training loss and its parts; see :func:`dualhead_policy.training_objective.training_loss`."""
+        return training_loss(self, observation, action, token)
 
-        The draws (noise, time, token corruption) are a function of (seed, training step).
-
-        Args:
-            observation: Preprocessed observations (B, C).
-            action: Dual action windows (B, H, D) in physical units.
-            token: Clean tokens (B,), or None.
-        """
-        config = self.config
-        purpose = "train" if self.training else "validate"
-        generator = keyed_generator(config.seed or 0, int(self.training_step), purpose, device=action.device)
-        n = len(action)
-        time = torch.rand(n, generator=generator, device=action.device).to(action.dtype)
-        noise = coupled_source_noise((n, config.chunk_size), self.head_dims, config.source_noise_beta, generator)
-        context = self.network.encoder(observation)
-        if self.tokens is not None and token is not None:
-            token = self.tokens.corrupt(
-                token,
-                replacement_prob=config.token_replacement_prob,
-                null_prob=config.token_null_prob,
-                generator=generator,
-            )
-            context = torch.cat([context, self.tokens.one_hot(token)], dim=-1)
-        normalized = self.action_scale.normalize(action)
-        parts = {}
-        for head, part in self.head_slices.items():
-            target, source = normalized[..., part], noise[head].to(action.dtype)
-            x = interpolate(source, target, time).flatten(1)
-            modulation = self.network.modulation(head, time, context)
-            velocity = self.network.velocity(head, x, time[:, None], modulation, self._spread(head))
-            parts[head] = (velocity - (target - source).flatten(1)).square().mean()
-        return sum(parts.values(), torch.zeros((), device=action.device)), parts
+    def sensitivity(self, observation: Tensor, action: Tensor) -> dict[str, float]:
+        """Each head's relative change under a redrawn latent (tab:sensitivity); empty without a latent."""
+        if self.shared_latent is None:
+            return {}
+        return latent_sensitivity(self, observation, action)
 
     def update(self) -> None:
         """Advance the training step; LeRobot calls this after every optimiser step."""
@@ -225,15 +207,38 @@ class DualheadPolicy(PreTrainedPolicy):
             return None
         if self.config.token == "window":
             return self.tokens.assign(batch[ACTION][..., self.head_slices["position"]])
-        if not hasattr(self, "episode_mode"):
+        if not hasattr(self, "episode_token"):
             raise ValueError(
-                "the oracle token needs the modes of the training episodes: build the policy with the dataset's "
+                f"the {self.config.token} token needs the training episodes: build the policy with the dataset's "
                 "metadata (lerobot-train and dualhead train do)"
             )
-        return self.episode_mode[batch["episode_index"].flatten()]
+        return self.episode_token[batch["episode_index"].flatten()]
 
-    def _spread(self, head: str) -> Tensor:
+    # --- the parts that training and sampling share --------------------------------------------------------
+
+    def frame(self, head: str) -> ChunkFrame:
+        """The frame of a head's chunks, for a policy with linear_gaussian preconditioning."""
+        frame = self.frames[head]
+        assert isinstance(frame, ChunkFrame)
+        return frame
+
+    def spread(self, head: str) -> Tensor:
+        """Standard deviations (H * d,) of the data in the coordinates in which the head's field works."""
+        if head in self.frames:
+            return self.frame(head).spread
         return self.action_scale.spread[self.head_slices[head]].repeat(self.config.chunk_size)
+
+    def head_velocity(self, head: str, x: Tensor, time: Tensor, context: Tensor) -> Tensor:
+        """Velocity (B, H * d) of a head at flattened noisy chunks, times (B,) and contexts (B, ...)."""
+        modulation = self.network.modulation(head, time, context)
+        return self.network.velocity(head, x, time[:, None], modulation, self.spread(head))
+
+    def physical_chunk(self, head: str, value: Tensor, observation: Tensor) -> Tensor:
+        """Chunks (B, ..., H, d) in physical units of flattened clean chunks (B, ..., H * d) in the head's frame."""
+        if head in self.frames:
+            value = self.frame(head).leave(value, observation)
+        chunk = value.unflatten(-1, (self.config.chunk_size, -1))
+        return self.action_scale.unnormalize(chunk, self.head_slices[head])
 
     def _observation(self, batch: Mapping[str, Tensor]) -> Tensor:
         missing = [key for key in self.observation_keys if key not in batch]
@@ -267,96 +272,69 @@ class DualheadPolicy(PreTrainedPolicy):
         Returns:
             Samples in physical units, on the policy's device.
         """
-        coupling = coupling or SamplingCoupling()
-        num_steps = num_steps or self.config.num_inference_steps
-        observation = self._observation(batch)
-        n_conditions, device = len(observation), observation.device
-        leading = (n_conditions, num_samples)
-        source = dict(coupling.source_noise or {})
-        if not source:
-            beta = coupling.source_noise_beta
-            beta = self.config.source_noise_beta if beta is None else beta
-            source = coupled_source_noise((*leading, self.config.chunk_size), self.head_dims, beta, generator)
-        token = self._sampling_tokens(leading, coupling, generator)
-        context = self._contexts(observation)
-        per_chunk = max(1, SAMPLING_ROWS // num_samples)
-        heads: dict[str, Tensor] = {}
-        for head, part in self.head_slices.items():
-            noise = source[head].to(device).flatten(2)
-            pieces = [
-                self._integrate(
-                    head,
-                    noise[start : start + per_chunk],
-                    context[start : start + per_chunk],
-                    token[head][start : start + per_chunk] if token else None,
-                    num_steps,
-                )
-                for start in range(0, n_conditions, per_chunk)
-            ]
-            chunk = torch.cat(pieces).unflatten(-1, (self.config.chunk_size, -1))
-            heads[head] = self.action_scale.unnormalize(chunk, part)
-        return HeadSamples(heads["joint"], heads["position"], token=token["joint"] if token else None)
+        steps = num_steps or self.config.num_inference_steps
+        return sample_chunks(
+            self, self._observation(batch), num_samples, steps, coupling or SamplingCoupling(), generator
+        )
 
-    def _sampling_tokens(
-        self, leading: tuple[int, int], coupling: SamplingCoupling, generator: torch.Generator | None
-    ) -> dict[str, Tensor] | None:
+    @torch.no_grad()
+    def draw_tokens(
+        self, batch: Mapping[str, Tensor], num_samples: int, generator: torch.Generator | None = None
+    ) -> Tensor | None:
+        """Tokens (B, num_samples) for preprocessed observations, as ``config.token_draw`` says; None without tokens."""
         if self.tokens is None:
-            if coupling.token is not None:
-                raise ValueError("the policy has no token to follow: sample it without coupling.token")
             return None
-        device = self.training_step.device
-        token = coupling.token
-        if token is None:
-            token = self.tokens.draw(leading, self.config.token_draw, generator)
-        second = token
-        if not coupling.share_token:
-            second = self.tokens.draw(leading, self.config.token_draw, generator)
-        return {"joint": token.to(device), "position": second.to(device)}
+        return self.tokens_given(self.network.encoder(self._observation(batch)), num_samples, generator)
 
-    def _contexts(self, observation: Tensor) -> Tensor:
-        """Contexts (B, T, C) of every condition, one for each of T tokens (T = 1 without tokens)."""
-        encoded = self.network.encoder(observation)[:, None]
-        if self.tokens is None:
-            return encoded
-        codes = self.tokens.one_hot(torch.arange(self.tokens.n_tokens, device=observation.device))
-        n, t = len(encoded), len(codes)
-        return torch.cat([encoded.expand(n, t, -1), codes.expand(n, t, -1)], dim=-1)
-
-    def _integrate(self, head: str, noise: Tensor, context: Tensor, token: Tensor | None, num_steps: int) -> Tensor:
-        rows = torch.arange(len(noise), device=noise.device)[:, None]
-        spread = self._spread(head)
-
-        def velocity(x: Tensor, time: float) -> Tensor:
-            now = torch.tensor(time, device=x.device)
-            modulation = self.network.modulation(head, now, context)
-            if token is not None:
-                modulation = [part[rows, token] for part in modulation]
-            return self.network.velocity(head, x, now, modulation, spread)
-
-        return integrate_euler(velocity, noise, num_steps)
+    def tokens_given(self, embedding: Tensor, num_samples: int, generator: torch.Generator | None) -> Tensor:
+        """Tokens (B, num_samples) given embeddings E(c) (B, ...)."""
+        assert self.tokens is not None
+        if self.token_prior is not None:
+            return self.token_prior.draw(embedding, num_samples, generator)
+        return self.tokens.draw((len(embedding), num_samples), self.config.token_draw, generator)
 
     # --- closed loop -------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Forget the queued actions and the episode's shared token (called at every environment reset)."""
+        """Forget the queued actions and what the episode shares (called at every environment reset)."""
         self._queue: deque[Tensor] = deque()
         self._episode_token: Tensor | None = None
+        self._episode_latent: Tensor | None = None
+        self._episode_rotation: Tensor | None = None
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:
         """One dual action chunk (B, H, D) per row, in physical units.
 
-        The token is drawn per row at the first decision after :meth:`reset` and held through the episode.
+        Tokens and latents are drawn per row at the first decision after :meth:`reset` and held through the episode;
+        window tokens belong to a window and are drawn at every decision.
         """
         n = len(self._observation(batch))
-        if self.tokens is not None and (self._episode_token is None or len(self._episode_token) != n):
-            self._episode_token = self.tokens.draw((n, 1), self.config.token_draw, None)
-        samples = self.sample(batch, 1, coupling=SamplingCoupling(token=self._episode_token))
-        return self.dual_chunk(samples)
+        if self._episode_token is None or len(self._episode_token) != n or self.config.token == "window":
+            self._episode_token = self.draw_tokens(batch, 1)
+        if self.shared_latent is not None and (self._episode_latent is None or len(self._episode_latent) != n):
+            self._episode_latent = self.shared_latent.draw((n, 1), None)
+        coupling = SamplingCoupling(token=self._episode_token, latent=self._episode_latent)
+        return self.dual_chunk(self.sample(batch, 1, coupling=coupling))
 
     def dual_chunk(self, samples: HeadSamples) -> Tensor:
-        """The first of every condition's samples as dual action chunks (B, H, D), in physical units."""
-        return torch.cat([samples.joint[:, 0], samples.position[:, 0]], dim=-1)
+        """The first of every condition's samples as dual action chunks (B, H, D), in physical units.
+
+        Without a rotation head the rotation slots hold the start orientation: the one that the first joint
+        configuration predicted after :meth:`reset` has, kept until the next reset.
+        """
+        groups = [samples.joint[:, 0], samples.position[:, 0]]
+        if self.representation.rotation:
+            groups.append(self._held_rotation(samples) if samples.rotation is None else samples.rotation[:, 0])
+        if samples.gripper is not None:
+            groups.append(samples.gripper[..., None])
+        return torch.cat(groups, dim=-1)
+
+    def _held_rotation(self, samples: HeadSamples) -> Tensor:
+        first = samples.joint[:, 0, 0]
+        if self._episode_rotation is None or len(self._episode_rotation) != len(first):
+            self._episode_rotation = columns_from_matrix(rotation_map(self.representation.kinematic_map)(first))
+        return self._episode_rotation[:, None].expand(-1, self.config.chunk_size, -1)
 
     @torch.no_grad()
     def select_action(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:

@@ -19,12 +19,16 @@ class HeadSamples:
         position: Head B (B, N, H, d): m, in the frame of the environment's layout.
         rotation: Third head (B, N, H, 6): first two columns of the rotation matrix, or None.
         token: Shared token (B, N), or None for a policy without one.
+        latent: Shared latent (B, N, dim), or None for a policy without one.
+        gripper: The policy's gripper commands (B, H), -1 (open) or +1 (closed), or None without a gripper.
     """
 
     joint: Tensor
     position: Tensor
     rotation: Tensor | None = None
     token: Tensor | None = None
+    latent: Tensor | None = None
+    gripper: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -33,16 +37,20 @@ class SamplingCoupling:
 
     Attributes:
         source_noise_beta: beta of sec:heads; 1 private noise, 0 shared noise.
-        source_noise: The noise itself by head (``"joint"``, ``"position"``), each (B, N, H, d); overrides beta.
-            Passing one member's noise to another couples an ensemble.
+        source_noise: The noise itself by head (``"joint"``, ``"position"`` and, where there is one, ``"rotation"``),
+            each (B, N, H, d); overrides beta. Passing one member's noise to another couples an ensemble.
         token: Tokens (B, N) to use instead of drawing them.
-        share_token: Whether the heads follow one token; False draws a second one for the position head.
+        share_token: Whether the heads follow one token; False draws another one for every further head.
+        latent: Latents (B, N, dim) to use instead of drawing them.
+        share_latent: Whether the heads follow one latent; False draws another one for every further head.
     """
 
     source_noise_beta: float | None = None
     source_noise: Mapping[str, Tensor] | None = None
     token: Tensor | None = None
     share_token: bool = True
+    latent: Tensor | None = None
+    share_latent: bool = True
 
 
 class Sampler(Protocol):

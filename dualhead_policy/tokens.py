@@ -8,8 +8,8 @@ from sklearn.cluster import KMeans
 from torch import Tensor, nn
 from torch.nn import functional
 
-#: Windows used to fit k-means; more change the centroids by less than their own spread.
-MAX_CLUSTERED_WINDOWS = 50_000
+#: Rows used to fit k-means; more change the centroids by less than their own spread.
+MAX_CLUSTERED_ROWS = 50_000
 
 
 class TokenTable(nn.Module):
@@ -17,40 +17,50 @@ class TokenTable(nn.Module):
 
     Args:
         n_tokens: Number of tokens.
-        window_dim: Flattened size of a window's positions for k-means tokens, or 0.
+        width: Flattened size of what k-means tokens cluster (positions of a window or of a whole transport), or 0.
 
     Buffers:
         marginal: Frequency of every token in training (n_tokens,).
-        centroids: k-means centroids (n_tokens, window_dim), metres.
+        centroids: k-means centroids (n_tokens, width), metres.
     """
 
     marginal: Tensor
     centroids: Tensor
 
-    def __init__(self, n_tokens: int, window_dim: int):
+    def __init__(self, n_tokens: int, width: int):
         super().__init__()
         self.n_tokens = n_tokens
         self.register_buffer("marginal", torch.full((n_tokens,), 1 / n_tokens))
-        self.register_buffer("centroids", torch.zeros(n_tokens, window_dim))
+        self.register_buffer("centroids", torch.zeros(n_tokens, width))
 
-    def fit_windows(self, windows: np.ndarray, seed: int) -> TokenTable:
-        """Cluster the training windows' absolute positions (N, H * d) in metres (families J, J' of tab:main).
+    def fit_clusters(self, rows: np.ndarray, seed: int, *, what: str) -> Tensor:
+        """Cluster the training data's absolute positions (N, points * d) in metres, by k-means.
+
+        Args:
+            rows: Windows (families J, J' of tab:main) or whole transport trajectories (families H, I).
+            seed: Seed of k-means.
+            what: What a row is, for the error.
+
+        Returns:
+            The token of every row (N,).
 
         Raises:
-            ValueError: If there are fewer distinct windows than tokens.
+            ValueError: If there are fewer distinct rows than tokens.
         """
         rng = np.random.default_rng(seed)
-        if len(windows) > MAX_CLUSTERED_WINDOWS:
-            windows = windows[rng.choice(len(windows), MAX_CLUSTERED_WINDOWS, replace=False)]
-        if len(np.unique(windows[: 10 * self.n_tokens], axis=0)) < self.n_tokens:
+        clustered = rows
+        if len(rows) > MAX_CLUSTERED_ROWS:
+            clustered = rows[rng.choice(len(rows), MAX_CLUSTERED_ROWS, replace=False)]
+        if len(np.unique(clustered[: 10 * self.n_tokens], axis=0)) < self.n_tokens:
             raise ValueError(
-                f"the dataset has fewer distinct windows than policy.n_tokens={self.n_tokens}: record more "
+                f"the dataset has fewer distinct {what} than policy.n_tokens={self.n_tokens}: record more "
                 "episodes or ask for fewer tokens"
             )
-        kmeans = KMeans(self.n_tokens, n_init=4, random_state=int(rng.integers(2**31))).fit(windows)
+        kmeans = KMeans(self.n_tokens, n_init=4, random_state=int(rng.integers(2**31))).fit(clustered)
         self.centroids.copy_(torch.from_numpy(kmeans.cluster_centers_.astype(np.float32)))
-        self.fit_marginal(torch.from_numpy(kmeans.labels_))
-        return self
+        token = torch.cat([self.assign(part) for part in torch.from_numpy(rows.astype(np.float32)).split(65_536)])
+        self.fit_marginal(token)
+        return token
 
     def fit_marginal(self, tokens: Tensor) -> TokenTable:
         """Set the training frequencies from the training tokens (N,)."""
@@ -59,7 +69,7 @@ class TokenTable(nn.Module):
         return self
 
     def assign(self, position: Tensor) -> Tensor:
-        """The nearest centroid of every window of positions (B, H, d) in metres; tokens (B,)."""
+        """Tokens (B,): the nearest centroid of every row of positions (B, ...) in metres."""
         return torch.cdist(position.flatten(1), self.centroids).argmin(dim=1)
 
     def draw(self, shape: tuple[int, ...], draw: str, generator: torch.Generator | None) -> Tensor:

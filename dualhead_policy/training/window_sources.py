@@ -64,21 +64,26 @@ class RecordedWindows:
         self._observation = _preprocess(preprocessor, policy, frames.observation)
         self._action = torch.from_numpy(frames.action).to(device)
         self._steps = torch.arange(config.chunk_size, device=device)
+        self._last_frame = torch.from_numpy(np.repeat(ends - 1, ends - starts)).to(device)
         self._token: Tensor | None = None
-        if config.token == "oracle":
-            self._token = policy.episode_mode[torch.from_numpy(frames.episode_index).to(device)]
+        if config.token in ("oracle", "episode"):
+            self._token = policy.episode_token[torch.from_numpy(frames.episode_index).to(device)]
         elif policy.tokens is not None:
             self._token = self._nearest_tokens(policy)
 
     def _nearest_tokens(self, policy: DualheadPolicy) -> Tensor:
-        """Window tokens by the window's first frame; frames without a whole window keep token 0."""
+        """Window tokens by the window's first frame; frames that begin no window keep token 0."""
         assert policy.tokens is not None
         position = self._action[:, policy.head_slices["position"]]
         token = torch.zeros(len(position), dtype=torch.int64, device=position.device)
         frames = torch.tensor(self._sampler.indices, device=position.device)
         for part in frames.split(65_536):
-            token[part] = policy.tokens.assign(position[part[:, None] + self._steps])
+            token[part] = policy.tokens.assign(position[self._windows(part)])
         return token
+
+    def _windows(self, start: Tensor) -> Tensor:
+        """Frames (B, H) of the windows that begin at ``start`` (B,); beyond its episode's end the last one repeats."""
+        return torch.minimum(start[:, None] + self._steps, self._last_frame[start, None])
 
     def __len__(self) -> int:
         return len(self._sampler)
@@ -93,7 +98,7 @@ class RecordedWindows:
         start = self._order[offset * self.batch_size : (offset + 1) * self.batch_size]
         return Batch(
             self._observation[start],
-            self._action[start[:, None] + self._steps],
+            self._action[self._windows(start)],
             None if self._token is None else self._token[start],
         )
 
@@ -108,6 +113,9 @@ class FreshRingPaths:
         preprocessor: Its preprocessor, with the recorded split's statistics.
         batch_size: Paths in a batch.
         seed: The paths of a step are a function of (seed, step).
+
+    Raises:
+        ValueError: If the policy follows an episode token.
     """
 
     def __init__(
@@ -126,6 +134,11 @@ class FreshRingPaths:
             **({"path_spread": env_kwargs["path_spread"]} if "path_spread" in env_kwargs else {}),
         )
         self._map = REPRESENTATION_MAPS[policy.representation.kinematic_map.removeprefix("ring/")]
+        if policy.config.token == "episode":
+            raise ValueError(
+                "--fresh_paths has no recorded episodes to follow an episode token in: leave it out, or use "
+                "policy.token=window"
+            )
         self._policy, self._preprocessor = policy, preprocessor
         self._batch_size, self._seed = batch_size, seed
 

@@ -39,13 +39,15 @@ def test_marginal_draws_follow_the_training_frequencies():
 def test_window_tokens_are_the_clusters_of_scikit_learn():
     rng = np.random.default_rng(0)
     windows = np.concatenate([rng.normal(m, 0.1, (200, 32)) for m in (-1, 0, 1)]).astype(np.float32)
-    table = TokenTable(3, 32).fit_windows(windows, seed=0)
+    table = TokenTable(3, 32)
+    fitted = table.fit_clusters(windows, seed=0, what="windows")
     ours = table.assign(torch.from_numpy(windows).reshape(-1, 16, 2)).numpy()
     theirs = KMeans(3, n_init=4, random_state=0).fit_predict(windows)
     assert len({(a, b) for a, b in zip(ours, theirs, strict=True)}) == 3
+    assert np.array_equal(fitted.numpy(), ours)
     assert table.marginal.numpy() == pytest.approx([1 / 3] * 3)
 
 
 def test_too_few_distinct_windows_are_refused():
     with pytest.raises(ValueError, match=r"fewer distinct windows than policy\.n_tokens=4"):
-        TokenTable(4, 32).fit_windows(np.zeros((100, 32), dtype=np.float32), seed=0)
+        TokenTable(4, 32).fit_clusters(np.zeros((100, 32), dtype=np.float32), seed=0, what="windows")
