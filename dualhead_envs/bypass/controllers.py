@@ -7,10 +7,10 @@ record (the measured state one step later).
 ``position``  grip site (3, m, world); the rotation stays what it was at the start of the episode.
 ``pose``      grip site (3, m, world) and its rotation (6, the first two columns of the matrix).
 
-With feed-forward the goal travels from the previous target to the new one at constant velocity, and damping acts on
-the velocity relative to the goal's. Without, the goal jumps to each new target, as in robosuite, and the motion lags
-by about 2 / sqrt(kp) s. Position and pose use robosuite's operational-space law: without feed-forward they are its
-default controller (gain 150, uncoupled), with feed-forward its stiffest (gain 300, coupled).
+With feed-forward the goal travels to the new target at constant velocity, no faster than the real robot may, and
+damping acts on the velocity relative to the goal's. Without, the goal jumps to each new target, as in robosuite, and
+the motion lags by about 2 / sqrt(kp) s. Position and pose use robosuite's operational-space law: without feed-forward
+they are its default controller (gain 150, uncoupled), with feed-forward its stiffest (gain 300, coupled).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Protocol
 
 import numpy as np
 
+from dualhead_envs.bypass.layout import JOINT_RANGES
 from dualhead_envs.bypass.operational_space import operational_space_torque, rotate
 from dualhead_envs.bypass.physics_engine import mujoco
 from dualhead_envs.bypass.scene import SceneForm
@@ -26,10 +27,10 @@ from dualhead_envs.bypass.simulation import CONTROL_PERIOD, JOINTS, SUBSTEPS, TI
 
 #: Gain kp (1/s^2) at critical damping: robosuite's default, and what it is with feed-forward.
 ROBOSUITE_STIFFNESS, TRACKING_STIFFNESS = 150.0, 300.0
-#: A target further away than this speed (m/s) can reach in one step is a new goal, not a moving one.
-FASTEST_GOAL = 1.5
-#: The same for the hand's rotation and for a joint (rad/s).
-FASTEST_TURN, FASTEST_JOINT = 6.0, 6.0
+#: Franka's limits for the Panda: joints (rad/s), the hand's speed (m/s) and its turning (rad/s). With feed-forward a
+#: goal never travels faster, however far the target is; demonstrations stay below.
+JOINT_SPEED = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
+HAND_SPEED, HAND_TURN = 1.7, 2.5
 
 
 class Control(Protocol):
@@ -54,10 +55,10 @@ class JointControl:
     """Joint targets (7, rad) and the gripper's command, by MuJoCo's own position actuators.
 
     An actuator's torque is ``kp (u - q) - kv dq``. Feed-forward commands ``u = goal + kv / kp * dgoal/dt``, which
-    turns the damping into one on the velocity relative to the goal's.
+    turns the damping into one on the velocity relative to the goal's. Targets beyond a joint's range mean its end.
 
     Args:
-        feed_forward: Whether the goal travels from target to target (see the module) or jumps.
+        feed_forward: Whether the goal travels to the target (see the module) or jumps.
     """
 
     form: SceneForm = "servo"
@@ -66,24 +67,31 @@ class JointControl:
         self.feed_forward = feed_forward
         self._goal: np.ndarray = np.zeros(JOINTS)
         self._lead: np.ndarray = np.zeros(JOINTS)
+        self._low, self._high = np.array(JOINT_RANGES).T
 
     def start(self, simulation: PandaSimulation) -> None:
         """Hold the present angles."""
-        self._goal = simulation.joints.copy()
         model = simulation.model
+        self._goal = simulation.joints.copy()
         self._lead = -model.actuator_biasprm[:JOINTS, 2] / model.actuator_gainprm[:JOINTS, 0]
 
     def step(self, simulation: PandaSimulation, action: np.ndarray) -> None:
         """Execute ``action`` (8,)."""
         model, data, touch = simulation.model, simulation.data, simulation.touch_force
-        target, command = action[:JOINTS], float(action[JOINTS])
+        goal = np.minimum(np.maximum(action[:JOINTS], self._low), self._high)
+        command = float(action[JOINTS])
         control = data.ctrl[:JOINTS]
-        travel = (target - self._goal) / SUBSTEPS
-        moves = self.feed_forward and 0.0 < np.abs(travel).max() <= FASTEST_JOINT * TIMESTEP
+        travel = goal - self._goal
+        moves = self.feed_forward and travel.any()
         if moves:
+            excess = (np.abs(travel) / (JOINT_SPEED * CONTROL_PERIOD)).max()
+            if excess > 1.0:
+                travel /= excess
+                goal = self._goal + travel
+            travel /= SUBSTEPS
             control[:] = self._goal + self._lead / TIMESTEP * travel
         else:
-            control[:] = target
+            control[:] = goal
         for _ in range(SUBSTEPS):
             if moves:
                 control += travel
@@ -92,10 +100,10 @@ class JointControl:
             if touch[0] > 0.0:
                 simulation.touched = True
         simulation.update_kinematics()
-        self._goal = target.copy()
+        self._goal = goal
 
     def memory(self) -> np.ndarray:
-        """The last target (7)."""
+        """The last goal (7)."""
         return self._goal.copy()
 
     def recall(self, memory: np.ndarray) -> None:
@@ -108,7 +116,7 @@ class OperationalSpaceControl:
 
     Args:
         with_rotation: Whether the action holds a rotation (6) after the position (3); else the start's is held.
-        feed_forward: Whether the goal travels from target to target (see the module) or jumps, as in robosuite.
+        feed_forward: Whether the goal travels to the target (see the module) or jumps, as in robosuite.
     """
 
     form: SceneForm = "torque"
@@ -135,7 +143,14 @@ class OperationalSpaceControl:
 
     def step_to(self, simulation: PandaSimulation, position: np.ndarray, rotation: np.ndarray, gripper: float) -> None:
         """Go to ``position`` (3, m) and ``rotation`` (3, 3) for one control step."""
-        velocity = self._goal_velocity(position, rotation)
+        velocity = np.zeros(6)
+        if self.feed_forward:
+            velocity = self._goal_velocity(position, rotation)
+            excess = max(np.linalg.norm(velocity[:3]) / HAND_SPEED, np.linalg.norm(velocity[3:]) / HAND_TURN)
+            if excess > 1.0:
+                velocity /= excess
+                position = self._goal_position + CONTROL_PERIOD * velocity[:3]
+                rotation = rotate(CONTROL_PERIOD * velocity[3:], self._goal_rotation)
         model, data, site = simulation.model, simulation.data, simulation.site
         mass = np.empty((model.nv, model.nv))
         jacobian_position, jacobian_rotation = np.empty((3, model.nv)), np.empty((3, model.nv))
@@ -164,13 +179,11 @@ class OperationalSpaceControl:
         self._goal_position, self._goal_rotation = position.copy(), rotation.copy()
 
     def _goal_velocity(self, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """Velocity (6, m/s and rad/s) that takes the goal to the target in one step."""
         velocity = np.zeros(6)
-        if self.feed_forward:
-            velocity[:3] = (position - self._goal_position) / CONTROL_PERIOD
-            if rotation is not self._goal_rotation:
-                velocity[3:] = rotation_vector(rotation @ self._goal_rotation.T) / CONTROL_PERIOD
-            if np.linalg.norm(velocity[:3]) > FASTEST_GOAL or np.linalg.norm(velocity[3:]) > FASTEST_TURN:
-                velocity[:] = 0.0
+        velocity[:3] = (position - self._goal_position) / CONTROL_PERIOD
+        if rotation is not self._goal_rotation:
+            velocity[3:] = rotation_vector(rotation @ self._goal_rotation.T) / CONTROL_PERIOD
         return velocity
 
     def memory(self) -> np.ndarray:
@@ -205,13 +218,18 @@ def rotation_matrix(columns: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    """Axis times angle (3,) of a ``rotation`` (3, 3) by less than pi."""
+    """Axis times angle (3,) of a ``rotation`` (3, 3)."""
     axis = 0.5 * np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )
     sine = np.linalg.norm(axis)
     if sine < 1e-9:
-        return axis
+        if np.trace(rotation) > 0.0:
+            return axis
+        # Half a turn: its axis is any column of R + 1.
+        columns = rotation + np.eye(3)
+        column = columns[:, np.argmax(np.diag(columns))]
+        return np.pi * column / np.linalg.norm(column)
     return axis * (np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)) / sine)
 
 

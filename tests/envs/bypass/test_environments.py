@@ -92,6 +92,21 @@ def test_running_into_the_obstacle_ends_the_episode(env_id):
         env.step(action)
 
 
+@pytest.mark.parametrize("control", ["joint", "position", "pose"])
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e150])
+def test_wild_targets_move_the_robot_no_faster_than_it_may(env_id, control, size):
+    env = gym.make(env_id, control=control).unwrapped
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        observation, _, terminated, _, _ = env.step(size * rng.normal(size=env.action_space.shape))
+        assert np.isfinite(observation["agent_pos"]).all()
+        if control == "joint":
+            assert np.abs(observation["agent_pos"][7:14]).max() < 6.0, "rad/s"
+        if terminated:
+            env.reset()
+
+
 def test_an_idle_episode_is_truncated_at_the_registered_horizon(env_id):
     env = gym.make(env_id)
     assert env.spec.max_episode_steps == MAX_EPISODE_STEPS

@@ -64,6 +64,12 @@ def test_the_spd_inverse_is_numpys():
         np.testing.assert_allclose(_inverse(matrix), np.linalg.inv(matrix), rtol=1e-9, atol=1e-9)
 
 
+def half_turn(axis):
+    """The rotation by pi about ``axis`` (3,)."""
+    axis = axis / np.linalg.norm(axis)
+    return 2.0 * np.outer(axis, axis) - np.eye(3)
+
+
 def test_rotating_by_a_vector_is_scipys():
     from scipy.spatial.transform import Rotation
 
@@ -75,6 +81,7 @@ def test_rotating_by_a_vector_is_scipys():
         vector, start = rng.normal(size=3), Rotation.random(rng=rng)
         turned = rotate(vector, start.as_matrix())
         np.testing.assert_allclose(turned, (Rotation.from_rotvec(vector) * start).as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(rotate(rotation_vector(half_turn(vector)), np.eye(3)), half_turn(vector), atol=1e-9)
         small = 0.5 * vector / np.linalg.norm(vector)
         np.testing.assert_allclose(rotation_vector(Rotation.from_rotvec(small).as_matrix()), small, atol=1e-12)
         np.testing.assert_allclose(rotation_matrix(turned[:, :2].T.ravel()), turned, atol=1e-12)
