@@ -14,7 +14,12 @@ it stopped when the same command is given again.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of ``dualhead demo``."""
-    parser.add_argument("--env", choices=["ring"], default="ring", help="testbed (default: ring)")
+    parser.add_argument(
+        "--env",
+        choices=["v2", "v3", "ring"],
+        default="v2",
+        help="v2: a Panda passes a wall (default); v3: a beam; ring: the fast synthetic testbed",
+    )
     parser.add_argument(
         "--preset",
         choices=["smoke", "full"],
@@ -41,22 +46,23 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_policy.training.quiet import quiet_libraries
 
     quiet_libraries()
-    from dualhead_eval.demo.plan import RING_BUDGETS, RING_PLAN
+    from dualhead_eval.demo.plan import PLANS
     from dualhead_eval.demo.stages import Demo, stage
     from dualhead_eval.demo.story import story_table
     from dualhead_eval.region_figure import draw_region
 
     root = args.output or Path("outputs") / f"demo-{args.env}-{args.preset}"
-    demo = Demo(RING_PLAN, RING_BUDGETS[args.preset], root, seed=args.seed, jobs=args.jobs)
+    plan = PLANS[args.env]
+    demo = Demo(plan, plan.budgets[args.preset], root, seed=args.seed, jobs=args.jobs)
     demo.claim_folder()
     budget = demo.budget
-    with stage(demo.console, 1, 4, f"Record {budget.demonstrations:,} scripted paths under two representation maps."):
+    with stage(demo.console, 1, 4, f"Record {plan.what_is_recorded.format(n=budget.demonstrations)}."):
         demo.record()
     with stage(
         demo.console,
         2,
         4,
-        f"Train {len(demo.plan.policies)} policies, {budget.steps:,} steps of 128 paths each.",
+        f"Train {len(demo.plan.policies)} policies, {budget.steps:,} steps of batch 128 each.",
     ):
         demo.train()
     with stage(

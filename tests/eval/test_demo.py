@@ -22,8 +22,7 @@ PLAN = replace(plan.RING_PLAN, policies=plan.RING_PLAN.policies[:1], rows=plan.R
 
 @pytest.fixture
 def tiny_demo(monkeypatch):
-    monkeypatch.setitem(plan.RING_BUDGETS, "smoke", TINY)
-    monkeypatch.setattr(plan, "RING_PLAN", PLAN)
+    monkeypatch.setitem(plan.PLANS, "ring", replace(PLAN, budgets={"smoke": TINY}))
 
 
 def test_the_demo_records_trains_evaluates_and_tells_the_story(tiny_demo, tmp_path, capsys):

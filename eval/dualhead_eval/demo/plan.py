@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,19 +73,27 @@ class PlannedRow:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole demo."""
+    """A whole demo.
 
+    Attributes:
+        what_is_recorded: The recording stage in words; ``{n}`` is the number of demonstrations.
+        datasets, policies, rows: What is recorded, trained and evaluated.
+        budgets: Its size by preset.
+    """
+
+    what_is_recorded: str
     datasets: tuple[PlannedDataset, ...]
     policies: tuple[PlannedPolicy, ...]
     rows: tuple[PlannedRow, ...]
+    budgets: Mapping[str, Budget]
 
-
-RING_BUDGETS = {
-    "smoke": Budget(demonstrations=10_000, steps=3_000, save_freq=1_000, pairs=256),
-    "full": Budget(demonstrations=50_000, steps=20_000, save_freq=5_000, pairs=1_280),
-}
 
 RING_PLAN = Plan(
+    what_is_recorded="{n:,} scripted paths under each of two representation maps",
+    budgets={
+        "smoke": Budget(demonstrations=10_000, steps=3_000, save_freq=1_000, pairs=256),
+        "full": Budget(demonstrations=50_000, steps=20_000, save_freq=5_000, pairs=1_280),
+    },
     datasets=(
         PlannedDataset("nullspace", "RotatingRing-v2", {"representation": "nullspace"}),
         PlannedDataset("polar", "RotatingRing-v2", {"representation": "polar"}),
@@ -135,3 +144,59 @@ RING_PLAN = Plan(
         ),
     ),
 )
+
+
+def _robot_plan(env_id: str, obstacle: str) -> Plan:
+    return Plan(
+        what_is_recorded="{n:,} pairs of scripted demonstrations, one past each side of the " + obstacle,
+        budgets={
+            "smoke": Budget(demonstrations=100, steps=3_000, save_freq=1_000, pairs=256),
+            "full": Budget(demonstrations=500, steps=20_000, save_freq=5_000, pairs=1_280),
+        },
+        datasets=(PlannedDataset("demonstrations", env_id, {}, size="pairs"),),
+        policies=(
+            PlannedPolicy("no-token", "demonstrations"),
+            PlannedPolicy("oracle-token", "demonstrations", ("--policy.token=oracle",)),
+            PlannedPolicy("episode-token", "demonstrations", ("--policy.token=episode", "--policy.n_tokens=2")),
+        ),
+        rows=(
+            PlannedRow(
+                "independent",
+                "independent noise",
+                "no-token",
+                "The floor: each head picks a side on its own. The heads disagree about half of the time, and "
+                "nothing is wrong.",
+                reference=None,
+            ),
+            PlannedRow(
+                "shared-noise",
+                "shared noise",
+                "no-token",
+                "The same network with shared noise: what that does depends on the arm's kinematics.",
+                source_noise_beta=0.0,
+                reference=None,
+            ),
+            PlannedRow(
+                "episode-token",
+                "shared k-means token",
+                "episode-token",
+                "A token found without labels, by clustering whole demonstrations, shared by both heads.",
+                reference=None,
+            ),
+            PlannedRow(
+                "oracle-token",
+                "shared oracle token",
+                "oracle-token",
+                "The corner: one token names the side and both heads follow it, with both sides alive.",
+                reference=None,
+            ),
+        ),
+    )
+
+
+#: Plans by the name that ``--env`` takes.
+PLANS = {
+    "ring": RING_PLAN,
+    "v2": _robot_plan("BimodalBypass-v2", "wall"),
+    "v3": _robot_plan("RotatingBypass-v3", "beam"),
+}

@@ -48,7 +48,8 @@ class Demo:
         Raises:
             FileExistsError: If the folder holds something else.
         """
-        settings = {"plan": asdict(self.plan), "budget": asdict(self.budget), "seed": self.seed}
+        plan = {key: value for key, value in asdict(self.plan).items() if key != "budgets"}
+        settings = {"plan": plan, "budget": asdict(self.budget), "seed": self.seed}
         text = json.dumps(settings, indent=2)
         path = self.root / SETTINGS
         if path.is_file():

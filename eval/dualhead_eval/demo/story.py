@@ -17,7 +17,7 @@ Result = tuple[PlannedRow, Gate, Gate | None]
 COLUMNS = (
     (
         "valid",
-        "share of sampled pairs in which both heads reach a mode; below 0.95 a ring row is not readable",
+        "share of sampled pairs in which both heads reach a mode (a ring row below 0.95 is not readable)",
     ),
     ("C", "how much the heads could coordinate given how varied each is; 0.5 is everything with two modes"),
     ("Δ", "how much more often than chance they choose the same mode; negative: less often"),
@@ -30,16 +30,18 @@ def story_table(results: Sequence[Result]) -> Group:
     """The table and its legend."""
     table = Table(title="One motion, two heads: do they choose the same way?", title_justify="left", pad_edge=False)
     table.add_column("what the heads share", min_width=15)
-    for name in ("valid", "C", "Δ", f"{RHO} [95% interval]", f"exact {RHO}"):
+    known = any(reference is not None for _, _, reference in results)
+    for name in ("valid", "C", "Δ", f"{RHO} [95% interval]", *([f"exact {RHO}"] if known else [])):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("what it shows", min_width=30, overflow="fold")
     for row, trained, reference in results:
         line = report_rows([trained])[0]
-        table.add_row(row.title, *_numbers(line), _exact(reference), _story(row, line), end_section=True)
+        exact = [_exact(reference)] if known else []
+        table.add_row(row.title, *_numbers(line), *exact, _story(row, line), end_section=True)
     legend = Table.grid(padding=(0, 2))
     legend.add_column(no_wrap=True, style="bold")
     legend.add_column()
-    for name, meaning in COLUMNS:
+    for name, meaning in COLUMNS if known else COLUMNS[:-1]:
         legend.add_row(name, meaning)
     return Group(table, legend)
 
