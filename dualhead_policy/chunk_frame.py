@@ -46,21 +46,24 @@ class ChunkFrame(nn.Module):
         self.register_buffer("spread", torch.ones(chunk_dim))
 
     @torch.no_grad()
-    def fit(self, observation: Tensor, chunk: Tensor) -> ChunkFrame:
+    def fit(self, observation: Tensor, chunk: Tensor, noise: float = 0.0) -> ChunkFrame:
         """Fit to the training windows.
 
         Args:
             observation: Preprocessed observations (N, C).
             chunk: Flattened normalised chunks (N, H * d).
+            noise: Standard deviation of the noise that observations will have in training; a regression on noisy
+                inputs is a ridge regression.
         """
         observation, chunk = observation.double(), chunk.double()
         centre, middle = observation.mean(dim=0), chunk.mean(dim=0)
         inputs, outputs = observation - centre, chunk - middle
         n = len(inputs)
-        gram = inputs.T @ inputs / n + RIDGE * torch.eye(inputs.shape[1], dtype=inputs.dtype, device=inputs.device)
+        ridge = max(RIDGE, noise**2)
+        gram = inputs.T @ inputs / n + ridge * torch.eye(inputs.shape[1], dtype=inputs.dtype, device=inputs.device)
         slope = torch.linalg.solve(gram, inputs.T @ outputs / n)
         residual = outputs - inputs @ slope
-        variance, basis = torch.linalg.eigh(residual.T @ residual / n)
+        variance, basis = torch.linalg.eigh(residual.T @ residual / n + noise**2 * slope.T @ slope)
         self.slope.copy_(slope)
         self.offset.copy_(middle - centre @ slope)
         self.basis.copy_(basis)

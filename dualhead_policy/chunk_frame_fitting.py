@@ -14,6 +14,7 @@ from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.action_scale import ActionScale
 from dualhead_policy.chunk_frame import ChunkFrame
 from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.observation_range import ObservationRange
 from dualhead_policy.processor_dualhead import observation_stats
 
 #: Windows used at most, evenly spaced; a covariance of 112 dimensions needs no more.
@@ -22,6 +23,7 @@ MAX_WINDOWS = 60_000
 
 def fit_chunk_frames(
     frames: Mapping[str, ChunkFrame],
+    observation_range: ObservationRange,
     config: DualheadConfig,
     root: str | Path,
     stats: Mapping[str, Mapping[str, Any]],
@@ -29,10 +31,11 @@ def fit_chunk_frames(
     head_slices: Mapping[str, slice],
     observation_keys: list[str],
 ) -> None:
-    """Fit every head's frame.
+    """Fit every head's frame, and the range of the observations.
 
     Args:
         frames: The frames, by head.
+        observation_range: The range.
         config: The policy's configuration.
         root: Folder of the training split.
         stats: Its statistics: observations are normalised as the preprocessor will.
@@ -52,11 +55,13 @@ def fit_chunk_frames(
     starts = starts[:: -(-len(starts) // MAX_WINDOWS)]
     moments = observation_stats(config, stats)
     parts = [_normalised(torch.from_numpy(split.observation[key][starts]), moments[key]) for key in observation_keys]
-    observation = torch.cat(parts, dim=-1)
+    observation = torch.cat(parts, dim=-1).to(action_scale.shift)
+    observation_range.fit(observation)
     windows = torch.from_numpy(split.action[starts[:, None] + np.arange(config.chunk_size)])
     normalised = action_scale.normalize(windows.to(action_scale.shift))
     for head, frame in frames.items():
-        frame.fit(observation.to(action_scale.shift), normalised[..., head_slices[head]].flatten(1))
+        chunk = normalised[..., head_slices[head]].flatten(1)
+        frame.fit(observation, chunk, config.observation_noise or 0.0)
 
 
 def _normalised(observation: Tensor, moments: Mapping[str, Tensor]) -> Tensor:

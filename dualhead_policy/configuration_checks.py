@@ -73,6 +73,8 @@ def _check_values(config: DualheadConfig) -> None:
     for name in NOT_NEGATIVE:
         if not getattr(config, name) >= 0:
             raise ValueError(f"policy.{name}={getattr(config, name)} must not be negative: give 0 or more")
+    if config.observation_noise is not None and not config.observation_noise >= 0:
+        raise ValueError(f"policy.observation_noise={config.observation_noise} must not be negative: give 0 or more")
     if config.n_action_steps is not None and not 1 <= config.n_action_steps <= config.chunk_size:
         raise ValueError(
             f"policy.n_action_steps={config.n_action_steps} must lie in 1..chunk_size={config.chunk_size}: "

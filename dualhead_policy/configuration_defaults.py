@@ -9,6 +9,8 @@ from dualhead_policy.representation import RepresentationLayout
 
 #: Actions executed of every chunk on robots (receding horizon of 8 of 16).
 ROBOT_ACTION_STEPS = 8
+#: Noise on the normalised observation in training on robots.
+OBSERVATION_NOISE = 0.05
 
 
 def fill_in_defaults(config: DualheadConfig, layout: RepresentationLayout) -> None:
@@ -18,6 +20,8 @@ def fill_in_defaults(config: DualheadConfig, layout: RepresentationLayout) -> No
         config.n_action_steps = config.chunk_size if on_ring else min(ROBOT_ACTION_STEPS, config.chunk_size)
     if config.padded_steps is None:
         config.padded_steps = 0 if on_ring else config.chunk_size - 1
+    if config.observation_noise is None:
+        config.observation_noise = 0.0 if on_ring else OBSERVATION_NOISE
     if config.preconditioning == "auto":
         config.preconditioning = "gaussian" if on_ring else "linear_gaussian"
     if config.seed is None:

@@ -35,6 +35,9 @@ class DualheadConfig(PreTrainedConfig):
             regression on the observation (see ``chunk_frame``); ``"none"``, nothing, the paper's bare network;
             ``"auto"``: gaussian on the ring, linear_gaussian elsewhere. None of them changes the loss's minimiser.
         time_frequencies: Frequencies 1..n of the time features.
+        observation_noise: Standard deviation of Gaussian noise on the normalised observation in training. A policy
+            that has only seen exact states learns to continue from wherever it is and drifts in closed loop; with
+            noise it returns to the demonstrations. None: 0 on the ring, OBSERVATION_NOISE elsewhere.
         source_noise_beta: beta of sec:heads: 1 independent source noise, 0 fully shared.
         token: Shared discrete token: None, ``"oracle"`` (the demonstration's mode), ``"episode"`` (k-means on whole
             transport trajectories) or ``"window"`` (k-means on the training windows' positions).
@@ -82,6 +85,7 @@ class DualheadConfig(PreTrainedConfig):
     preconditioning: str = "auto"
     time_frequencies: int = 10
 
+    observation_noise: float | None = None
     source_noise_beta: float = 1.0
 
     token: str | None = None

@@ -22,6 +22,7 @@ from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.gripper import GripperOutput
 from dualhead_policy.heads import DualheadNetwork
 from dualhead_policy.kinematics import rotation_map
+from dualhead_policy.observation_range import ObservationRange
 from dualhead_policy.representation import resolve_representation
 from dualhead_policy.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
@@ -78,6 +79,7 @@ class DualheadPolicy(PreTrainedPolicy):
         self.action_scale = ActionScale(len(self.representation.names))
         framed = config.preconditioning == "linear_gaussian"
         self.frames = nn.ModuleDict({h: ChunkFrame(observation_dim, n) for h, n in chunk_dims.items() if framed})
+        self.observation_range = ObservationRange(observation_dim) if framed else None
         self._fit_scales(dataset_stats, dataset_meta)
         self._transport: Tensor | None = None
         self.tokens = self._make_tokens(dataset_meta)
@@ -113,9 +115,10 @@ class DualheadPolicy(PreTrainedPolicy):
             return
         normalized = normalized_dimensions(self.config, self.representation)
         self.action_scale.fit(stats, normalized=normalized, std_floor=self.config.action_std_floor)
-        if self.frames and dataset_meta is not None:
+        if self.observation_range is not None and dataset_meta is not None:
             fit_chunk_frames(
                 {head: self.frame(head) for head in self.frames},
+                self.observation_range,
                 self.config,
                 dataset_meta.root,
                 stats,
@@ -143,6 +146,8 @@ class DualheadPolicy(PreTrainedPolicy):
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
         # LeRobot asks for a lenient load; a policy with tensors missing would run and be wrong.
         scales = nn.ModuleDict({"action_scale": model.action_scale, "frames": model.frames})
+        if model.observation_range is not None:
+            scales["observation_range"] = model.observation_range
         fitted = {name: buffer.clone() for name, buffer in scales.named_buffers()}
         load_strictly(model, model_file, map_location)
         if model.config.statistics == "replace":
@@ -246,7 +251,8 @@ class DualheadPolicy(PreTrainedPolicy):
             raise ValueError(
                 f"the batch lacks {missing}: expected the preprocessed observations {self.observation_keys}"
             )
-        return torch.cat([batch[key].flatten(1) for key in self.observation_keys], dim=-1)
+        observation = torch.cat([batch[key].flatten(1) for key in self.observation_keys], dim=-1)
+        return observation if self.observation_range is None else self.observation_range(observation)
 
     # --- sampling ----------------------------------------------------------------------------------------
 

@@ -61,8 +61,9 @@ def training_loss(
     """The training loss and its parts, already weighted.
 
     Every head contributes its flow-matching loss (eq:cfm), the mean squared error per coordinate, and the mechanisms
-    theirs. All draws are functions of (seed, training step): time, noise and token corruption come from one keyed
-    generator, latents from another, so that a mechanism leaves the draws of the others as they are.
+    theirs. All draws are functions of (seed, training step): time, source noise and token corruption come from one
+    keyed generator, latents and observation noise from their own, so that a mechanism leaves the draws of the others
+    as they are.
 
     Args:
         policy: The policy.
@@ -74,6 +75,13 @@ def training_loss(
     purpose = "train" if policy.training else "validate"
     key = (config.seed or 0, int(policy.training_step), purpose)
     generator = keyed_generator(*key, device=action.device)
+    if config.observation_noise and policy.training:
+        noise = torch.randn(
+            observation.shape,
+            generator=keyed_generator(*key, "observation", device=action.device),
+            device=action.device,
+        )
+        observation = observation + config.observation_noise * noise.to(observation.dtype)
     chunks = draw_noisy_chunks(policy, observation, action, generator)
     context = embedding = policy.network.encoder(observation)
     shared: dict[str, Tensor] = {}

@@ -17,6 +17,15 @@ def ring_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def panda_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of BimodalBypass-v2: 4 training pairs, one condition a bank."""
+    from dualhead_envs.bypass.record import record_bypass
+
+    root = tmp_path_factory.mktemp("data") / "panda"
+    return record_bypass("BimodalBypass-v2", root, pairs=6, workers=1, progress=False)
+
+
+@pytest.fixture(scope="session")
 def trained(ring_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output folder of a short training run with an oracle token."""
     from dualhead_policy.training.arguments import parse_training_config

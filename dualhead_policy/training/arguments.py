@@ -44,7 +44,10 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
                 "--dataset.root is missing: give the training split, for example --dataset.root=data/ring/train"
             )
         complete = ["--env_eval_freq=0"]
-        complete += [f"--{name}={value}" for name, value in PRESETS[preset or "smoke"].items()]
+        # A configuration file brings its own budget; a preset that is asked for overrides it.
+        budget = preset or (None if parser.parse_arg("config_path", given) else "smoke")
+        if budget is not None:
+            complete += [f"--{name}={value}" for name, value in PRESETS[budget].items()]
         if not parser.parse_arg("dataset.repo_id", given):
             complete.append(f"--dataset.repo_id=local/{Path(root).resolve().parent.name}")
         if not (parser.get_path_arg("policy", given) or parser.get_type_arg("policy", given)):
