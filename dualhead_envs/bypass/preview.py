@@ -36,7 +36,7 @@ def write_preview(env_id: str, path: Path | str, *, seed: int = 0) -> str:
     path = Path(path)
     if path.suffix not in _SUFFIXES:
         raise ValueError(f"preview={str(path)!r} should end in .png (contact sheet or plot) or .gif (film)")
-    size = (200, 200) if path.suffix == ".gif" else (260, 260)
+    size = (180, 180) if path.suffix == ".gif" else (200, 200)
     env: Any = gym.make(f"dualhead_envs:{env_id}", control="pose", render_mode="rgb_array", image_size=size)
     bypass: BypassEnv = env.unwrapped
     pair = demonstrate_pair(bypass, seed)
@@ -70,23 +70,24 @@ def _replayed(env: BypassEnv, demonstration: Demonstration, steps: set[int]) -> 
     return pictures
 
 
-def _write_sheet(env: BypassEnv, pair: tuple[Demonstration, Demonstration], branch_step: int, path: Path) -> None:
-    import matplotlib.image
+def _indexed(picture: np.ndarray) -> Any:
+    """``picture`` in few colours, small on disk; rare colours, such as the cube's, are kept."""
+    from PIL import Image
 
+    return Image.fromarray(picture).quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+
+
+def _write_sheet(env: BypassEnv, pair: tuple[Demonstration, Demonstration], branch_step: int, path: Path) -> None:
     steps = {branch_step + moment for moment in _MOMENTS}
     rows = [np.concatenate(_replayed(env, demonstration, steps), axis=1) for demonstration in pair]
-    matplotlib.image.imsave(path, np.concatenate(rows))
+    _indexed(np.concatenate(rows)).save(path, optimize=True)
 
 
 def _write_film(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
-    from PIL import Image
-
-    steps = set(range(0, len(pair[0].gripper), 3))
+    steps = set(range(0, len(pair[0].gripper), 4))
     left, right = (_replayed(env, demonstration, steps) for demonstration in pair)
-    frames = [
-        Image.fromarray(np.concatenate(pictures, axis=1)).quantize(64) for pictures in zip(left, right, strict=False)
-    ]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=150, loop=0, optimize=True)
+    frames = [_indexed(np.concatenate(pictures, axis=1)) for pictures in zip(left, right, strict=False)]
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=200, loop=0, optimize=True)
 
 
 def _plot_paths(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
