@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from typing import Any
+
 import torch
 
 from dualhead_policy.configuration_dualhead import DualheadConfig
@@ -26,6 +30,13 @@ def fill_in_defaults(config: DualheadConfig, layout: RepresentationLayout) -> No
         config.preconditioning = "gaussian" if on_ring else "linear_gaussian"
     if config.seed is None:
         config.seed = torch.initial_seed() % 2**31
+
+
+def note_origin(config: DualheadConfig, dataset_meta: Any) -> None:
+    """Write down which dataset, and which environment behind it, a policy is trained on."""
+    config.dataset_name = dataset_meta.repo_id
+    sidecar = Path(dataset_meta.root) / "meta" / "dualhead.json"
+    config.environment = json.loads(sidecar.read_text()).get("env_id") if sidecar.is_file() else None
 
 
 def normalized_dimensions(config: DualheadConfig, layout: RepresentationLayout) -> list[bool]:

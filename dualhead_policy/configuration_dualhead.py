@@ -70,6 +70,7 @@ class DualheadConfig(PreTrainedConfig):
         seed: Training draws are a function of (seed, step). None: torch's seed when the policy is built, which
             is ``--seed`` under ``lerobot-train`` and ``dualhead train``.
         representation: The dual action layout; None: read from the dataset.
+        dataset_name, environment: What the policy was trained on, for its model card; filled in from the dataset.
         optimizer_lr, optimizer_betas, optimizer_grad_clip_norm: Adam's settings.
         lr_schedule, lr_warmup_steps: ``"cosine"`` to zero over the run, or ``"constant"``, after a warm-up.
     """
@@ -122,6 +123,8 @@ class DualheadConfig(PreTrainedConfig):
     num_inference_steps: int = 20
     seed: int | None = None
     representation: RepresentationLayout | None = None
+    dataset_name: str | None = None
+    environment: str | None = None
 
     optimizer_lr: float = 2e-3
     optimizer_betas: tuple[float, float] = (0.9, 0.999)

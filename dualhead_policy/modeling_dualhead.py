@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
+from huggingface_hub import ModelCard
 from lerobot.configs import FeatureType
 from lerobot.policies import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
@@ -15,17 +17,18 @@ from torch import Tensor, nn
 from dualhead_policy.action_scale import ActionScale
 from dualhead_policy.checkpoint_loading import load_strictly
 from dualhead_policy.chunk_frame import ChunkFrame
-from dualhead_policy.chunk_frame_fitting import fit_chunk_frames
 from dualhead_policy.chunk_sampling import sample_chunks
-from dualhead_policy.configuration_defaults import fill_in_defaults, normalized_dimensions
+from dualhead_policy.configuration_defaults import fill_in_defaults, note_origin
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.gripper import GripperOutput
 from dualhead_policy.heads import DualheadNetwork
 from dualhead_policy.kinematics import rotation_map
+from dualhead_policy.model_card import model_card
 from dualhead_policy.observation_range import ObservationRange
 from dualhead_policy.representation import resolve_representation
 from dualhead_policy.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
+from dualhead_policy.scale_fitting import fit_scales
 from dualhead_policy.shared_latent import CODE_DIM, SharedLatent
 from dualhead_policy.token_fitting import centroid_width, fit_tokens
 from dualhead_policy.token_prior import TokenPrior
@@ -64,6 +67,8 @@ class DualheadPolicy(PreTrainedPolicy):
         config.validate_features()
         self.representation = resolve_representation(config, dataset_meta)
         fill_in_defaults(config, self.representation)
+        if dataset_meta is not None:
+            note_origin(config, dataset_meta)
         self.observation_keys = [
             key
             for key, feature in config.input_features.items()
@@ -80,7 +85,7 @@ class DualheadPolicy(PreTrainedPolicy):
         framed = config.preconditioning == "linear_gaussian"
         self.frames = nn.ModuleDict({h: ChunkFrame(observation_dim, n) for h, n in chunk_dims.items() if framed})
         self.observation_range = ObservationRange(observation_dim) if framed else None
-        self._fit_scales(dataset_stats, dataset_meta)
+        fit_scales(self, dataset_stats, dataset_meta)
         self._transport: Tensor | None = None
         self.tokens = self._make_tokens(dataset_meta)
         self.network = DualheadNetwork(
@@ -104,28 +109,6 @@ class DualheadPolicy(PreTrainedPolicy):
         self.reset()
 
     # --- construction and loading ------------------------------------------------------------------------
-
-    def _fit_scales(self, stats: Mapping[str, Mapping[str, Any]] | None, dataset_meta: Any | None) -> None:
-        """Set action scale and frames from the training data; the ring and rotations stay in physical units."""
-        if stats is None:
-            if dataset_meta is not None:
-                raise ValueError(
-                    "the dataset comes without statistics: expected meta/stats.json; record the dataset again"
-                )
-            return
-        normalized = normalized_dimensions(self.config, self.representation)
-        self.action_scale.fit(stats, normalized=normalized, std_floor=self.config.action_std_floor)
-        if self.observation_range is not None and dataset_meta is not None:
-            fit_chunk_frames(
-                {head: self.frame(head) for head in self.frames},
-                self.observation_range,
-                self.config,
-                dataset_meta.root,
-                stats,
-                self.action_scale,
-                self.head_slices,
-                self.observation_keys,
-            )
 
     def _make_tokens(self, dataset_meta: Any | None) -> TokenTable | None:
         config = self.config
@@ -156,6 +139,18 @@ class DualheadPolicy(PreTrainedPolicy):
             # The numbers of a new clustering mean nothing to this checkpoint's heads: its own centroids decide.
             model.episode_token = model.tokens.assign(model._transport.to(model.tokens.centroids.device))
         return model
+
+    def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
+        super()._save_pretrained(save_directory, state_dict=state_dict)
+        (save_directory / "README.md").write_text(self._card(), encoding="utf-8")
+
+    def generate_model_card(self, *_: Any, **__: Any) -> ModelCard:
+        """LeRobot's generic card says nothing about a plugin: this is the folder's own (``push_to_hub`` asks)."""
+        return ModelCard(self._card())
+
+    def _card(self) -> str:
+        usage = None if self.tokens is None else self.tokens.marginal.tolist()
+        return model_card(self.config, step=int(self.training_step), token_usage=usage)
 
     def get_optim_params(self) -> Any:
         return self.parameters()

@@ -18,7 +18,7 @@ from lerobot.utils.random_utils import set_seed
 
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
-from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.modeling_dualhead import SENSITIVITY_EVERY, DualheadPolicy
 from dualhead_policy.training.checkpoints import write_checkpoint
 from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
 
@@ -126,7 +126,10 @@ class Training:
         rate = self.policy.config.optimizer_lr
         saved: Path | None = None
         while self.step < cfg.steps:
-            loss = self.update(self.source.batch(self.step))
+            batch = self.source.batch(self.step)
+            if self.step % SENSITIVITY_EVERY == 0:
+                log.measure(self.policy.sensitivity(batch.observation, batch.action))
+            loss = self.update(batch)
             if loss != loss:
                 raise ValueError(
                     f"the loss is not a number at step {self.step}: lower policy.optimizer_lr (now {rate}) and "
@@ -151,7 +154,12 @@ class TrainingLog:
             kept = [line for line in path.read_text().splitlines() if line and json.loads(line)["step"] <= step]
         path.write_text("".join(line + "\n" for line in kept))
         self._losses: list[float] = []
+        self._sensitivity: dict[str, float] = {}
         self._since = time.perf_counter()
+
+    def measure(self, sensitivity: dict[str, float]) -> None:
+        """Keep the latent's influence on each head (tab:sensitivity) for the next line."""
+        self._sensitivity = sensitivity
 
     def add(self, step: int, loss: float) -> None:
         self._losses.append(loss)
@@ -162,11 +170,13 @@ class TrainingLog:
         if not self._losses:
             return
         seconds = time.perf_counter() - self._since
-        line = {
+        line: dict[str, Any] = {
             "step": step,
             "loss": sum(self._losses) / len(self._losses),
             "steps_per_second": len(self._losses) / seconds,
         }
+        if self._sensitivity:
+            line["latent_sensitivity"] = self._sensitivity
         with self.path.open("a") as file:
             file.write(json.dumps(line) + "\n")
         self._losses, self._since = [], time.perf_counter()

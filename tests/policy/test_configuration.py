@@ -22,11 +22,26 @@ RING = ["joint.nullspace.0", "joint.nullspace.1", "position.x", "position.y"]
         ({"n_action_steps": 17}, "must lie in 1..chunk_size=16"),
         ({"optimizer_lr": 0}, "must be positive"),
         ({"conditioning": "attention"}, "is not one of"),
+        ({"latent": "prior", "token": "oracle"}, "two shared variables"),
+        ({"latent": "posterior", "latent_dim": 0}, "needs something to infer"),
+        ({"latent": "prior", "free_bits": 0.1}, "belongs to policy.latent='posterior'"),
+        ({"token_draw": "learned"}, "needs a token"),
+        ({"rotation_consistency_weight": 1.0}, "set policy.rotation_head=true"),
+        ({"consistency_weight": -1.0}, "must not be negative"),
+        ({"consistency_norm": "inches"}, "is not one of"),
+        ({"padded_steps": 16}, "must lie in 0"),
+        ({"observation_noise": -0.1}, "must not be negative"),
+        ({"kinematic_map": "file:arm.urdf"}, "not of the form 'file:PATH#LINK'"),
     ],
 )
 def test_contradictory_fields_are_refused_when_the_configuration_is_built(fields, sentence):
     with pytest.raises(ValueError, match=sentence):
         DualheadConfig(device="cpu", **fields)
+
+
+def test_a_robot_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        DualheadConfig(device="cpu", kinematic_map=f"file:{tmp_path / 'arm.urdf'}#tool0")
 
 
 def test_a_layout_is_read_from_the_action_names():

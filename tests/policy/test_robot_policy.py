@@ -37,8 +37,9 @@ MECHANISMS = {
 
 @pytest.fixture(scope="module")
 def build(panda_data):
+    meta = LeRobotDatasetMetadata("local/panda", root=panda_data / "train")
+
     def build(**fields):
-        meta = LeRobotDatasetMetadata("local/panda", root=panda_data / "train")
         return make_policy(DualheadConfig(**{**SMALL, **fields}), ds_meta=meta)
 
     return build
