@@ -90,12 +90,15 @@ def _train_one(run: Run, threads: int | None, reports: Any) -> Path:
     with contextlib.redirect_stdout(None):
         training = Training(parse_training_config(run.arguments, run.preset), fresh_paths=run.fresh_paths)
     last = 0.0
+    parent = multiprocessing.parent_process()
 
     def report(step: int, loss: float) -> None:
         nonlocal last
         now = time.monotonic()
         if now - last > REPORT_SECONDS or step == training.cfg.steps:
             last = now
+            if parent is not None and not parent.is_alive():
+                raise SystemExit("the command that started this training is gone")
             reports.put((run.name, step, training.cfg.steps, loss))
 
     return training.run(report)
