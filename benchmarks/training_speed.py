@@ -79,9 +79,10 @@ def matrix_product_rate(seconds: float = 2.0) -> float:
 
 def flops_a_step(data: Path, output: Path) -> int:
     """Floating-point operations of one training step (forward and backward), counted by torch."""
+    from torch.utils.flop_counter import FlopCounterMode
+
     from dualhead_policy.training.arguments import parse_training_config
     from dualhead_policy.training.trainer import Training
-    from torch.utils.flop_counter import FlopCounterMode
 
     flags = [f"--dataset.root={data / 'train'}", f"--output_dir={output}", "--policy.device=cpu"]
     training = Training(parse_training_config(flags, None))
