@@ -49,9 +49,12 @@ def check_fields(config: DualheadConfig) -> None:
             "rotation head: set policy.rotation_head=true, or leave the weight at 0"
         )
     if config.kinematic_map is not None and config.kinematic_map.startswith("file:"):
-        from dualhead_policy.robot_file_kinematics import robot_file_position
+        from dualhead_policy.robot_file_kinematics import parse_robot_file, robot_file_position
 
-        robot_file_position(config.kinematic_map)
+        path, _ = parse_robot_file(config.kinematic_map)
+        # A trained policy runs without its robot's file: only training and evaluation need the kinematics.
+        if config.representation is None or path.is_file():
+            robot_file_position(config.kinematic_map)
     if config.normalization_mapping.get("ACTION") != NormalizationMode.IDENTITY:
         raise ValueError(
             "policy.normalization_mapping must leave ACTION as IDENTITY: the action scale lives inside the "

@@ -51,9 +51,13 @@ def rotation_map(kinematic_map: str) -> RotationMap:
     """
     if kinematic_map == "panda":
         return panda_rotation
+    if kinematic_map.startswith("file:"):
+        from dualhead_policy.robot_file_kinematics import robot_file_rotation
+
+        return robot_file_rotation(kinematic_map)
     raise ValueError(
-        f"kinematic map {kinematic_map!r} has no orientation: expected 'panda'; leave the rotation head and its "
-        "consistency out"
+        f"kinematic map {kinematic_map!r} has no orientation: expected 'panda' or a robot's file; leave the rotation "
+        "head and its consistency out"
     )
 
 

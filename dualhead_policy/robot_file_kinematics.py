@@ -9,6 +9,7 @@ import contextlib
 import io
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,11 @@ def parse_robot_file(kinematic_map: str) -> tuple[Path, str]:
     return Path(path), link
 
 
-def robot_file_position(kinematic_map: str, n_joints: int | None = None) -> Callable[[Tensor], Tensor]:
-    """The map from joint angles to the position of a link.
+def robot_file_position(kinematic_map: str) -> Callable[[Tensor], Tensor]:
+    """The map from joint values to the position of a link.
 
     Args:
         kinematic_map: ``"file:PATH#LINK"``; the link may be an MJCF site too.
-        n_joints: Joints that the chain must have; None: any number.
 
     Returns:
         A function from joint values (..., n), in the chain's order from its root, in rad (m for slides), to
@@ -48,29 +48,39 @@ def robot_file_position(kinematic_map: str, n_joints: int | None = None) -> Call
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no robot description, or its chain lacks the link or has another number of joints.
+        ValueError: If it is no robot description, or its chain lacks the link.
     """
+    to_pose = _pose(kinematic_map)
+    return lambda values: to_pose(values)[..., :3, 3]
+
+
+def robot_file_rotation(kinematic_map: str) -> Callable[[Tensor], Tensor]:
+    """The map from joint values (..., n) to the link's rotation matrix (..., 3, 3), in the frame of the file's root.
+
+    Raises as :func:`robot_file_position` does.
+    """
+    to_pose = _pose(kinematic_map)
+    return lambda values: to_pose(values)[..., :3, :3]
+
+
+def _pose(kinematic_map: str) -> Callable[[Tensor], Tensor]:
     path, link = parse_robot_file(kinematic_map)
     chain = _serial_chain(path, link)
     joints = len(chain.get_joint_parameter_names())
-    if n_joints not in (None, joints):
-        raise ValueError(
-            f"{path} has {joints} joints between its root and {link!r}, the joint head predicts {n_joints}: name the "
-            "link that the demonstrations' joints move"
-        )
 
-    def to_position(values: Tensor) -> Tensor:
+    def to_pose(values: Tensor) -> Tensor:
         if values.shape[-1] != joints:
             raise ValueError(
                 f"the chain to {link!r} has {joints} joints, got {values.shape[-1]}: pass joint values (..., {joints})"
             )
         moved = chain.to(dtype=values.dtype, device=values.device)
-        flat = values.reshape(-1, joints)
-        return moved.forward_kinematics(flat).get_matrix()[:, :3, 3].reshape(*values.shape[:-1], 3)
+        matrix = moved.forward_kinematics(values.reshape(-1, joints)).get_matrix()
+        return matrix.reshape(*values.shape[:-1], 4, 4)
 
-    return to_position
+    return to_pose
 
 
+@cache
 def _serial_chain(path: Path, link: str) -> Any:
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist: give the path of the robot's URDF or MJCF file")
@@ -87,10 +97,16 @@ def _serial_chain(path: Path, link: str) -> Any:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         import pytorch_kinematics
 
-        if root.tag == "robot":
-            chain = pytorch_kinematics.build_chain_from_urdf(ElementTree.tostring(root))
-        else:
-            chain = pytorch_kinematics.build_chain_from_mjcf(_bare_mjcf(root))
+        try:
+            if root.tag == "robot":
+                chain = pytorch_kinematics.build_chain_from_urdf(ElementTree.tostring(root))
+            else:
+                chain = pytorch_kinematics.build_chain_from_mjcf(_bare_mjcf(root))
+        except (KeyError, ValueError, AttributeError) as error:
+            raise ValueError(
+                f"{path} cannot be read as a kinematic chain ({error}): expected a robot of hinges and slides, one "
+                "joint a body, without included files"
+            ) from error
         links = chain.get_link_names() + chain.get_frame_names(exclude_fixed=False)
     if link not in links:
         shown = ", ".join(sorted(set(links))[:12])
@@ -105,6 +121,12 @@ def _bare_mjcf(root: ElementTree.Element) -> str:
     for parent in list(root.iter()):
         for child in [child for child in parent if child.tag in ("geom", "camera", "light", "skin", "flex")]:
             parent.remove(child)
+        for body in parent.findall("body"):
+            # Objects that float in the scene; pytorch-kinematics knows hinges and slides only.
+            if any(joint.get("type") in ("free", "ball") for joint in body.findall("joint")) or (
+                body.find("freejoint") is not None
+            ):
+                parent.remove(body)
     compiler = root.find("compiler")
     if compiler is None:
         compiler = ElementTree.SubElement(root, "compiler")

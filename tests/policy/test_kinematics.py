@@ -118,6 +118,9 @@ def test_another_robot_comes_as_a_urdf(tmp_path):
     tip = position_map(f"file:{path}#tip")(torch.stack([angle, angle], dim=-1))
     expected = torch.stack([angle.cos(), angle.sin(), torch.zeros_like(angle)], dim=-1)
     assert torch.allclose(tip, expected, atol=1e-7)
+    turn = rotation_map(f"file:{path}#tip")(torch.stack([angle, angle], dim=-1))
+    assert torch.allclose(turn[..., 0, 0], (2 * angle).cos(), atol=1e-7)
+    assert torch.allclose(turn[..., 1, 0], (2 * angle).sin(), atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -129,11 +132,14 @@ def test_another_robot_comes_as_a_urdf(tmp_path):
         ("file:{robot}.gone#tip", FileNotFoundError, "does not exist"),
         ("file:{text}#tip", ValueError, "is not XML"),
         ("file:{page}#tip", ValueError, "begins with <html>"),
+        ("file:{part}#tip", ValueError, "cannot be read as a kinematic chain"),
     ],
 )
 def test_kinematics_that_cannot_be_had_are_refused(tmp_path, name, error, sentence):
     files = {"robot": tmp_path / "two.urdf", "text": tmp_path / "two.txt", "page": tmp_path / "two.html"}
-    for path, content in zip(files.values(), (URDF, "two joints", "<html/>"), strict=True):
+    files["part"] = tmp_path / "two.xml"
+    part = '<mujoco><worldbody><body><joint name="a"/><joint name="b"/></body></worldbody></mujoco>'
+    for path, content in zip(files.values(), (URDF, "two joints", "<html/>", part), strict=True):
         path.write_text(content)
     with pytest.raises(error, match=sentence):
         position_map(name.format(**files))

@@ -9,6 +9,7 @@ import torch
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies import make_policy
 
+from dualhead_envs.bypass.lift_model import lift_mjcf
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy import DualheadConfig, SamplingCoupling
 from dualhead_policy.keyed_random import keyed_generator
@@ -240,6 +241,19 @@ def test_the_latents_influence_is_measured(build, windows):
     untrained = build(latent="prior").double().sensitivity(observation, action)
     assert all(0 < change < 2 for change in untrained.values())
     assert build().double().sensitivity(observation, action) == {}
+
+
+def test_a_robots_file_gives_the_consistency_loss_of_the_built_in_arm(build, windows, tmp_path):
+    """The way to bring another robot, on the one robot whose answer is known."""
+    path = tmp_path / "lift.xml"
+    path.write_text(lift_mjcf())
+    losses = {}
+    for kinematics in (None, f"file:{path}#gripper0_grip_site"):
+        torch.manual_seed(0)
+        policy = build(kinematic_map=kinematics, consistency_weight=1.0).double()
+        losses[kinematics] = policy.compute_loss(*windows[:2], None)[1]["consistency"].item()
+    built_in, from_file = losses.values()
+    assert from_file == pytest.approx(built_in, rel=1e-4)
 
 
 def test_rotations_are_the_environments(panda_data):
