@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 
 import gymnasium as gym
 import torch
@@ -20,11 +22,13 @@ class DualActionFeature(PolicyFeature):
     """The dual action vector as a policy feature that also knows its layout.
 
     LeRobot hands this very object to the policy as ``output_features["action"]``, so that a policy can refuse
-    an environment whose actions have the same width but another meaning. ``layout_name`` is no dataclass
-    field: configurations are written and read without it.
+    an environment whose actions have the same width but another meaning, or that observes something else.
+    ``layout_name`` and ``observation_widths`` are no dataclass fields: configurations are written and read
+    without them.
     """
 
     layout_name: str = ""
+    observation_widths: Mapping[str, int] = MappingProxyType({})
 
 
 class ExecutedActionStep(PolicyActionProcessorStep):
@@ -87,6 +91,7 @@ class DualheadEnvConfig(EnvConfig):
         self.fps = layout.fps
         action = DualActionFeature(FeatureType.ACTION, (len(layout.action_names),))
         action.layout_name = layout.name
+        action.observation_widths = {OBS_STATE: len(layout.agent_pos), OBS_ENV_STATE: len(layout.environment_state)}
         # Always rebuilt: a configuration read from a file must not change what the environment is.
         self.features = {
             "agent_pos": PolicyFeature(FeatureType.STATE, (len(layout.agent_pos),)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -90,6 +90,24 @@ class RepresentationLayout:
         )
 
 
+def require_observations(expected: Mapping[str, Any], given: Mapping[str, int]) -> None:
+    """Refuse observations of other widths than a policy's input features.
+
+    Args:
+        expected: The policy's input features.
+        given: Widths of what the environment or dataset observes, by LeRobot key; others are not compared.
+
+    Raises:
+        ValueError: In one sentence, with the first difference.
+    """
+    for key, width in given.items():
+        if key in expected and expected[key].shape[0] != width:
+            raise ValueError(
+                f"the environment or dataset has {width} dimensions in {key}, the policy was trained on "
+                f"{expected[key].shape[0]}: use the environment that the policy was trained on"
+            )
+
+
 def resolve_representation(config: DualheadConfig, dataset_meta: Any | None) -> RepresentationLayout:
     """The layout of a policy: its configuration's, which is filled in from the dataset where it is new.
 
@@ -118,6 +136,7 @@ def resolve_representation(config: DualheadConfig, dataset_meta: Any | None) -> 
             f"the environment's layout is {given_name!r}, the policy's is {layout.kinematic_map!r}: evaluate in the "
             "environment and representation that the policy was trained on"
         )
+    require_observations(config.input_features or {}, getattr(config.action_feature, "observation_widths", {}))
     width = config.action_feature.shape[0]
     if width != len(layout.names):
         raise ValueError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from dualhead_eval.evaluation import EvaluationProtocol, evaluate_sampler
 from dualhead_eval.gate import Gate
 from dualhead_eval.labelled_pairs import ModePartition
 from dualhead_eval.residuals import mode_direction
+from dualhead_policy.representation import require_observations
 from dualhead_policy.sampling import Sampler
 
 
@@ -100,12 +101,13 @@ def open_conditions(root: str | Path, limit: int | None = None) -> ConditionBank
 
 @dataclass(frozen=True)
 class Source:
-    """A sampler ready to be evaluated, with what turns raw observations into its input."""
+    """A sampler ready to be evaluated, with what turns raw observations into its input, and the input's shapes."""
 
     sampler: Sampler
     preprocess: Callable[[Any], Mapping[str, Any]]
     kinematic_map: str
     provenance: dict[str, Any]
+    input_features: Mapping[str, Any] = field(default_factory=dict)
 
 
 def open_policy(path: str | Path, *, device: str = "cpu") -> Source:
@@ -134,6 +136,7 @@ def open_policy(path: str | Path, *, device: str = "cpu") -> Source:
             "training_step": int(policy.training_step),
             "training": training_summary(folder),
         },
+        policy.config.input_features,
     )
 
 
@@ -174,6 +177,7 @@ def evaluate_source(
             f"the policy's layout is {source.kinematic_map!r}, the dataset's is {bank.kinematic_map!r}: evaluate "
             "on a dataset of the layout that the policy was trained on"
         )
+    require_observations(source.input_features, {key: value.shape[1] for key, value in bank.observation.items()})
     return evaluate_sampler(
         source.sampler,
         source.preprocess,
