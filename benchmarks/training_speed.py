@@ -23,6 +23,8 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from dualhead_policy.training.quiet import quiet_libraries
+
 WORKERS = (0, 2, 4)
 BATCH = 128
 
@@ -96,6 +98,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000, help="steps of dualhead train (default: 1000)")
     parser.add_argument("--lerobot-steps", type=int, default=60, help="steps of lerobot-train (default: 60)")
     args = parser.parse_args()
+    quiet_libraries()
     os.environ["OMP_NUM_THREADS"] = str(torch.get_num_threads())
     console = Console(width=110)
     with tempfile.TemporaryDirectory() as folder:
