@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -89,6 +90,14 @@ def test_a_killed_run_resumes_to_the_weights_of_an_uninterrupted_one(ring_data, 
     Training(resumed).run()
     whole, cut = weights(tmp_path / "whole"), weights(tmp_path / "cut")
     assert all(torch.equal(whole[name], cut[name]) for name in whole)
+
+
+def test_the_latents_influence_is_logged(ring_data, tmp_path):
+    more = ["--steps=3", "--save_freq=3", "--policy.latent=prior"]
+    Training(parse_training_config(flags(ring_data, tmp_path / "run", *more), None)).run()
+    line = json.loads((tmp_path / "run" / "training_log.jsonl").read_text().splitlines()[0])
+    assert set(line["latent_sensitivity"]) == {"joint", "position"}
+    assert all(change > 0 for change in line["latent_sensitivity"].values())
 
 
 def test_fresh_paths_never_repeat_and_depend_on_the_step_alone(ring_data, tmp_path):
