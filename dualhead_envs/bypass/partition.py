@@ -7,6 +7,7 @@ environment's to report.
 
 from __future__ import annotations
 
+import abc
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ ROTATING_TAU = 0.18
 ROUTE_NUMBERS = 3
 
 
-class BypassPartition:
+class BypassPartition(abc.ABC):
     """Two modes, a threshold, and the rule that a subclass gives in :meth:`score`."""
 
     name: str
@@ -30,13 +31,13 @@ class BypassPartition:
     def __init__(self, tau: float) -> None:
         self.tau = _threshold(tau)
 
+    @abc.abstractmethod
     def score(self, path: ArrayLike, condition: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Labels (...) int64 before thresholding, and strengths (...) float64 in metres."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def score_point(self, point: np.ndarray, condition: np.ndarray) -> tuple[int, float]:
         """:meth:`score` of a path of one finite point (3,), in a microsecond; a path's score is its best point's."""
-        raise NotImplementedError
 
     def assign(self, path: ArrayLike, condition: ArrayLike, tau: float | None = None) -> np.ndarray:
         """Labels (...) int64 of ``path`` (..., H, 3) under ``condition`` (..., C): 0 or 1, or -1 if invalid.

@@ -69,9 +69,11 @@ class Training:
             self.step, self.optimizer, self.scheduler = load_training_state(
                 cfg.checkpoint_path, self.optimizer, self.scheduler
             )
-        self.source: WindowSource = RecordedWindows(frames, self.policy, self.processors[0], cfg.batch_size, seed)
+        self.source: WindowSource
         if fresh_paths:
             self.source = self._fresh_paths(frames.sidecar, seed)
+        else:
+            self.source = RecordedWindows(frames, self.policy, self.processors[0], cfg.batch_size, seed)
 
     def _fresh_paths(self, sidecar: dict[str, Any], seed: int) -> FreshRingPaths:
         if not sidecar.get("env_id", "").startswith("RotatingRing-v"):
