@@ -13,6 +13,7 @@ CHOICES = {
     "conditioning": ("film", "concat"),
     "preconditioning": ("auto", "linear_gaussian", "gaussian", "none"),
     "token": (None, "oracle", "episode", "window"),
+    "token_positions": ("absolute", "displacement"),
     "token_draw": ("uniform", "marginal", "learned"),
     "latent": (None, "prior", "posterior"),
     "consistency_norm": ("whitened", "meters"),
@@ -91,6 +92,11 @@ def _check_values(config: DualheadConfig) -> None:
 
 
 def _check_tokens(config: DualheadConfig) -> None:
+    if config.token_positions != "absolute" and config.token != "window":
+        raise ValueError(
+            f"policy.token_positions={config.token_positions!r} belongs to policy.token='window', not to "
+            f"{config.token!r}: leave it out"
+        )
     if config.token is None:
         given = {name: getattr(config, name) for name in ("token_replacement_prob", "token_null_prob")}
         given = {name: value for name, value in given.items() if value > 0}

@@ -41,6 +41,8 @@ class DualheadConfig(PreTrainedConfig):
         source_noise_beta: beta of sec:heads: 1 independent source noise, 0 fully shared.
         token: Shared discrete token: None, ``"oracle"`` (the demonstration's mode), ``"episode"`` (k-means on whole
             transport trajectories) or ``"window"`` (k-means on the training windows' positions).
+        token_positions: What window tokens cluster: ``"absolute"``, the window's positions; or ``"displacement"``, its
+            positions less the first, each axis divided by its standard deviation.
         n_tokens: Number of tokens; None: as many as the dataset has modes.
         token_draw: Distribution of tokens at sampling: ``"uniform"``; ``"marginal"``, their frequency in the
             training data; or ``"learned"``, a categorical prior given the observation, trained by cross-entropy.
@@ -90,6 +92,7 @@ class DualheadConfig(PreTrainedConfig):
     source_noise_beta: float = 1.0
 
     token: str | None = None
+    token_positions: str = "absolute"
     n_tokens: int | None = None
     token_draw: str = "uniform"
     token_replacement_prob: float = 0.0

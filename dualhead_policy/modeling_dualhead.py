@@ -30,7 +30,7 @@ from dualhead_policy.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 from dualhead_policy.scale_fitting import fit_scales
 from dualhead_policy.shared_latent import CODE_DIM, SharedLatent
-from dualhead_policy.token_fitting import centroid_width, fit_tokens
+from dualhead_policy.token_fitting import fit_tokens, make_token_table
 from dualhead_policy.token_prior import TokenPrior
 from dualhead_policy.tokens import TokenTable
 from dualhead_policy.training_objective import latent_sensitivity, training_loss
@@ -117,7 +117,7 @@ class DualheadPolicy(PreTrainedPolicy):
         if dataset_meta is None:
             if config.n_tokens is None:
                 raise ValueError("policy.n_tokens is missing from the configuration: give the number of tokens")
-            return TokenTable(config.n_tokens, centroid_width(config, self.head_dims["position"]))
+            return make_token_table(config, self.head_dims["position"])
         fitted = fit_tokens(config, dataset_meta.root, self.head_slices["position"])
         self._transport = fitted.transport
         if fitted.episode_token is not None:

@@ -33,10 +33,12 @@ class FittedTokens:
     transport: Tensor | None = None
 
 
-def centroid_width(config: DualheadConfig, position_dim: int) -> int:
-    """Size of a centroid of ``config``'s tokens, 0 without k-means."""
-    points = {"window": config.chunk_size, "episode": TRANSPORT_POINTS}
-    return points.get(config.token or "", 0) * position_dim
+def make_token_table(config: DualheadConfig, position_dim: int) -> TokenTable:
+    """The unfitted table of ``config``'s tokens, for positions of ``position_dim`` dimensions."""
+    assert config.n_tokens is not None
+    points = {"window": config.chunk_size, "episode": TRANSPORT_POINTS}.get(config.token or "", 0)
+    moved = config.token_positions == "displacement"
+    return TokenTable(config.n_tokens, points * position_dim, displacement_axes=position_dim if moved else None)
 
 
 def episode_modes(frames: SplitFrames) -> np.ndarray:
@@ -94,7 +96,7 @@ def fit_tokens(config: DualheadConfig, root: str | Path, position: slice) -> Fit
     if config.n_tokens is None:
         assert modes is not None
         config.n_tokens = max(2, int(modes.max()) + 1)
-    table = TokenTable(config.n_tokens, centroid_width(config, position.stop - position.start))
+    table = make_token_table(config, position.stop - position.start)
     if config.token == "oracle":
         assert modes is not None
         if int(modes.max()) >= config.n_tokens:

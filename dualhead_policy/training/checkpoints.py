@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -10,9 +11,12 @@ from typing import Any
 import torch
 from lerobot.common.train_utils import get_step_checkpoint_dir, save_checkpoint
 from lerobot.configs.train import TrainPipelineConfig
-from lerobot.utils.constants import CHECKPOINTS_DIR, LAST_CHECKPOINT_LINK, PRETRAINED_MODEL_DIR
+from lerobot.utils.constants import CHECKPOINTS_DIR, LAST_CHECKPOINT_LINK, PRETRAINED_MODEL_DIR, TRAINING_STATE_DIR
 
 from dualhead_policy.modeling_dualhead import DualheadPolicy
+
+#: What a checkpoint says of its training windows, beside LeRobot's training state.
+WINDOW_SOURCE_FILE = "window_source.json"
 
 
 def write_checkpoint(
@@ -22,6 +26,8 @@ def write_checkpoint(
     optimizer: torch.optim.Optimizer,
     scheduler: Any,
     processors: tuple[Any, Any],
+    *,
+    fresh_paths: bool = False,
 ) -> Path:
     """Write ``checkpoints/<step>`` under the output folder and point ``checkpoints/last`` at it.
 
@@ -47,6 +53,8 @@ def write_checkpoint(
         num_processes=1,
         batch_size=cfg.batch_size,
     )
+    source = json.dumps({"fresh_paths": fresh_paths})
+    (staging / TRAINING_STATE_DIR / WINDOW_SOURCE_FILE).write_text(source, encoding="utf-8")
     if target.exists():
         shutil.rmtree(target)
     os.replace(staging, target)
@@ -61,3 +69,9 @@ def last_checkpoint(output_dir: str | Path) -> Path | None:
     """The newest complete checkpoint of a run, or None if it has none yet."""
     link = Path(output_dir) / CHECKPOINTS_DIR / LAST_CHECKPOINT_LINK
     return link.resolve() if link.exists() else None
+
+
+def had_fresh_paths(checkpoint: Path) -> bool:
+    """Whether a checkpoint was trained on fresh ring paths; False for checkpoints of ``lerobot-train``."""
+    path = checkpoint / TRAINING_STATE_DIR / WINDOW_SOURCE_FILE
+    return path.is_file() and bool(json.loads(path.read_text(encoding="utf-8")).get("fresh_paths", False))

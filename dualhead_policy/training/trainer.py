@@ -19,7 +19,7 @@ from lerobot.utils.random_utils import set_seed
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.modeling_dualhead import SENSITIVITY_EVERY, DualheadPolicy
-from dualhead_policy.training.checkpoints import write_checkpoint
+from dualhead_policy.training.checkpoints import had_fresh_paths, write_checkpoint
 from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
 
 #: One line of ``training_log.jsonl`` summarises this many steps at most.
@@ -33,7 +33,8 @@ class Training:
 
     Args:
         cfg: A validated LeRobot training configuration with a ``dualhead`` policy.
-        fresh_paths: Draw new ring paths at every step instead of visiting the recorded windows.
+        fresh_paths: Draw new ring paths at every step instead of visiting the recorded windows. A resumed run goes on
+            as it began.
 
     Raises:
         ValueError: If the policy is of another type, or the dataset does not suit it.
@@ -69,6 +70,14 @@ class Training:
             self.step, self.optimizer, self.scheduler = load_training_state(
                 cfg.checkpoint_path, self.optimizer, self.scheduler
             )
+            began_fresh = had_fresh_paths(cfg.checkpoint_path)
+            if fresh_paths and not began_fresh:
+                raise ValueError(
+                    f"{cfg.checkpoint_path} was trained on recorded windows: resume it without --fresh_paths, or start "
+                    "a new run with it"
+                )
+            fresh_paths = began_fresh
+        self.fresh_paths = fresh_paths
         self.source: WindowSource
         if fresh_paths:
             self.source = self._fresh_paths(frames.sidecar, seed)
@@ -106,7 +115,15 @@ class Training:
 
     def save(self) -> Path:
         """Write a checkpoint of the current step; returns its ``pretrained_model`` folder."""
-        return write_checkpoint(self.cfg, self.step, self.policy, self.optimizer, self.scheduler, self.processors)
+        return write_checkpoint(
+            self.cfg,
+            self.step,
+            self.policy,
+            self.optimizer,
+            self.scheduler,
+            self.processors,
+            fresh_paths=self.fresh_paths,
+        )
 
     def run(self, progress: Progress | None = None) -> Path:
         """Train to the configured number of steps, saving on the way.

@@ -193,23 +193,33 @@ def evaluate_source(
     )
 
 
-def training_summary(folder: Path) -> dict[str, Any] | None:
-    """Final loss of the run that wrote a checkpoint, and whether it had plateaued; None if there is no log.
+def training_summary(folder: Path) -> dict[str, Any]:
+    """What is known of the run that wrote a checkpoint.
 
-    A loss counts as plateaued when the last tenth of the log is within 1 % of the tenth before it.
+    Args:
+        folder: The checkpoint's ``pretrained_model`` folder.
+
+    Returns:
+        ``batch_size``, ``steps`` (the run's budget), ``seed`` and ``fresh_paths`` where the folder holds its training
+        configuration; ``final_loss`` and ``plateaued`` where the run's log is at hand. A loss counts as plateaued when
+        the last tenth of the log is within 1 % of the tenth before it.
     """
-    if len(folder.parents) < 3:
-        return None
-    log = folder.parents[2] / "training_log.jsonl"
-    if not log.is_file():
-        return None
+    from dualhead_policy.training.checkpoints import had_fresh_paths
+
+    summary: dict[str, Any] = {}
+    configuration = folder / "train_config.json"
+    if configuration.is_file():
+        content = json.loads(configuration.read_text(encoding="utf-8"))
+        summary = {name: content.get(name) for name in ("batch_size", "steps", "seed")}
+        summary["fresh_paths"] = had_fresh_paths(folder.parent)
+    log = folder.parents[2] / "training_log.jsonl" if len(folder.parents) >= 3 else None
+    if log is None or not log.is_file():
+        return summary
     losses = [json.loads(line)["loss"] for line in log.read_text().splitlines() if line]
     tenth = max(1, len(losses) // 10)
     if not losses:
-        return None
+        return summary
     last = float(np.mean(losses[-tenth:]))
     before = float(np.mean(losses[-2 * tenth : -tenth])) if len(losses) >= 2 * tenth else None
-    return {
-        "final_loss": last,
-        "plateaued": before is not None and abs(before - last) <= 0.01 * abs(before),
-    }
+    plateaued = before is not None and abs(before - last) <= 0.01 * abs(before)
+    return summary | {"final_loss": last, "plateaued": plateaued}

@@ -17,6 +17,7 @@ RING = ["joint.nullspace.0", "joint.nullspace.1", "position.x", "position.y"]
         ({"token": "magic"}, "token='magic' is not one of"),
         ({"token_replacement_prob": 0.1}, "needs a token"),
         ({"n_tokens": 4}, "needs a token"),
+        ({"token": "oracle", "token_positions": "displacement"}, "belongs to policy.token='window'"),
         ({"token": "oracle", "n_tokens": 1}, "at least 2"),
         ({"token": "oracle", "token_replacement_prob": 0.6, "token_null_prob": 0.6}, "more than 1"),
         ({"n_action_steps": 17}, "must lie in 1..chunk_size=16"),

@@ -48,6 +48,22 @@ def test_window_tokens_are_the_clusters_of_scikit_learn():
     assert table.marginal.numpy() == pytest.approx([1 / 3] * 3)
 
 
+def test_displacement_tokens_see_what_a_window_does_and_not_where():
+    rng = np.random.default_rng(0)
+    side = rng.integers(2, size=400)
+    start = rng.uniform(-1, 1, (400, 1, 3))
+    velocity = np.stack([np.ones(400), 0.1 * (2 * side - 1), np.zeros(400)], axis=-1)
+    steps = np.linspace(0, 1, 16)[None, :, None] * velocity[:, None]
+    windows = (start + steps).reshape(400, -1).astype(np.float32)
+    table = TokenTable(2, 48, displacement_axes=3)
+    token = table.fit_clusters(windows, seed=0, what="windows").numpy()
+    assert len({(a, b) for a, b in zip(token, side, strict=True)}) == 2
+    elsewhere = torch.from_numpy((windows.reshape(-1, 16, 3) + np.array([5.0, -3.0, 2.0])).astype(np.float32))
+    assert np.array_equal(table.assign(elsewhere).numpy(), token)
+    # The third axis does not move: its scale is floored, so that rounding is not blown up into a side.
+    assert table.axis_scale[2] == pytest.approx(1e-4)
+
+
 def test_too_few_distinct_windows_are_refused():
     with pytest.raises(ValueError, match=r"fewer distinct windows than policy\.n_tokens=4"):
         TokenTable(4, 32).fit_clusters(np.zeros((100, 32), dtype=np.float32), seed=0, what="windows")

@@ -13,9 +13,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from dualhead_eval.evaluation_sources import training_summary
 from dualhead_policy.training.arguments import parse_training_config
 from dualhead_policy.training.checkpoints import last_checkpoint
 from dualhead_policy.training.trainer import Training
+from dualhead_policy.training.window_sources import FreshRingPaths
 
 SMALL = ["--batch_size=32", "--policy.device=cpu", "--policy.velocity_width=64", "--policy.encoder_dim=32"]
 
@@ -106,6 +108,25 @@ def test_fresh_paths_never_repeat_and_depend_on_the_step_alone(ring_data, tmp_pa
     first, second = source.batch(0), source.batch(1)
     assert not torch.equal(first.action, second.action)
     assert torch.equal(source.batch(0).action, first.action)
+
+
+def test_a_resumed_run_goes_on_with_fresh_paths_and_its_checkpoint_says_so(ring_data, tmp_path):
+    output = tmp_path / "fresh"
+    cfg = parse_training_config(flags(ring_data, output, "--steps=4", "--save_freq=2"), None)
+    saved = Training(cfg, fresh_paths=True).run()
+    assert training_summary(saved)["fresh_paths"] is True
+    resumed = parse_training_config(["--resume=true", f"--output_dir={output}", "--steps=6"], None)
+    assert isinstance(Training(resumed).source, FreshRingPaths)
+
+
+def test_recorded_windows_are_not_exchanged_for_fresh_paths_on_resuming(ring_data, tmp_path):
+    output = tmp_path / "recorded"
+    saved = Training(parse_training_config(flags(ring_data, output, "--steps=2", "--save_freq=2"), None)).run()
+    summary = training_summary(saved)
+    assert (summary["steps"], summary["batch_size"], summary["fresh_paths"]) == (2, 32, False)
+    resumed = parse_training_config(["--resume=true", f"--output_dir={output}", "--steps=4"], None)
+    with pytest.raises(ValueError, match="resume it without --fresh_paths"):
+        Training(resumed, fresh_paths=True)
 
 
 def test_an_epoch_visits_every_window_once(ring_data, tmp_path):
