@@ -138,15 +138,16 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
     from tqdm import tqdm
 
     from dualhead_envs.dataset_frames import read_split
+    from dualhead_eval.evaluation_sources import policy_provenance
     from dualhead_eval.rollouts import record_rollouts, rollout_gate
-    from dualhead_policy.pretrained import load_policy
+    from dualhead_policy.pretrained import load_policy, policy_folder
 
     if args.dataset is None:
         raise ValueError("--dataset is missing: its environment is where the policy is rolled out")
     sidecar = read_split(args.dataset).sidecar
     policy, preprocess = load_policy(args.policy)
     with tqdm(total=args.episodes, unit="episode", desc="rolling out") as bar:
-        outcome = record_rollouts(
+        loop, verdict = record_rollouts(
             policy,
             preprocess,
             args.record,
@@ -155,11 +156,8 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
             episodes=args.episodes,
             samples=args.samples,
             seed=args.seed,
+            provenance=policy_provenance(policy, policy_folder(args.policy)),
             progress=bar.update,
         )
-    print(
-        f"closed loop, {args.control} head driving: success {outcome['success_rate']:.1%}, "
-        f"collision {outcome['collision_rate']:.1%} of {args.episodes} episodes, recorded in {args.record}\n"
-        f"runtime certificate after these episodes: {outcome['verdict']}"
-    )
+    print(f"closed loop, {loop}; recorded in {args.record}\nruntime certificate after these episodes: {verdict}")
     return rollout_gate(args.record, taus=args.tau, label=_label(args))

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -18,6 +18,9 @@ from dualhead_eval.labelled_pairs import ModePartition
 from dualhead_eval.residuals import mode_direction
 from dualhead_policy.representation import require_observations
 from dualhead_policy.sampling import Sampler
+
+if TYPE_CHECKING:
+    from dualhead_policy.modeling_dualhead import DualheadPolicy
 
 
 @dataclass(frozen=True)
@@ -117,27 +120,32 @@ def open_policy(path: str | Path, *, device: str = "cpu") -> Source:
         FileNotFoundError: If there is no policy.
         ValueError: If it is damaged or of another type.
     """
-    import draccus
-
     from dualhead_policy.pretrained import load_policy, policy_folder
 
     folder = policy_folder(path)
     policy, preprocessor = load_policy(folder, device=device)
-    config = draccus.encode(policy.config)
-    config.pop("device", None)
-    config.pop("pretrained_path", None)
     return Source(
         policy,
         preprocessor,
         policy.representation.kinematic_map,
-        {
-            "method": "policy",
-            "config": config,
-            "training_step": int(policy.training_step),
-            "training": training_summary(folder),
-        },
+        {"method": "policy", **policy_provenance(policy, folder)},
         policy.config.input_features,
     )
+
+
+def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
+    """What a gate file says of the policy loaded from ``folder``: configuration, training steps, training run."""
+    import draccus
+
+    config = draccus.encode(policy.config)
+    # Where the policy ran and was read from is not part of what it is.
+    for name in ("device", "pretrained_path"):
+        config.pop(name, None)
+    return {
+        "config": config,
+        "training_step": int(policy.training_step),
+        "training": training_summary(folder),
+    }
 
 
 def open_exact_reference(bank: ConditionBank, **options: Any) -> Source:

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from dualhead_eval.gate import Gate
     from dualhead_eval.report import Row
 
@@ -24,7 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="GATE",
-        help="gate files written by `dualhead evaluate`, or dataset folders written by `dualhead record`",
+        help="gate files written by `dualhead evaluate`, folders of them, rollouts, or datasets written by `dualhead "
+        "record`",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write every number to FILE")
     parser.add_argument("--figure", type=Path, metavar="FILE.png", help="also draw the attainable region")
@@ -35,7 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--html", type=Path, metavar="FILE.html", help="also write one self-contained page with everything"
     )
     parser.add_argument(
-        "--paper", action="store_true", help="also print our numbers beside the paper's, and its claims graded"
+        "--paper",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="also print the runs beside the paper's rows, and its claims graded (default: for folders of gate files)",
+    )
+    parser.add_argument(
+        "--every-quantity", action="store_true", help="with --paper: every quantity of every row, with intervals"
     )
     parser.add_argument(
         "--normalised",
@@ -65,21 +74,24 @@ def run(args: argparse.Namespace) -> int:
 
     from dualhead_eval.atomic_text import write_text
     from dualhead_eval.card_table import render_card
-    from dualhead_eval.gate import read_gate
+    from dualhead_eval.closed_loop import render_closed_loop
     from dualhead_eval.report import explanation, render_table, report_json, report_rows
+    from dualhead_eval.report_inputs import read_inputs
     from dualhead_eval.report_tables import render_families
 
     console = Console()
     if not console.is_terminal:
         # A pipe or a file has no width of its own; the table needs about this much.
         console = Console(width=140)
-    folders = [path for path in args.inputs if path.is_dir()]
-    for folder in folders:
-        console.print(render_card(_read_card(folder), title=f"Geometry card of {folder}"))
-    gates = [read_gate(path) for path in args.inputs if path not in folders]
+    inputs = read_inputs(args.inputs)
+    for folder, card in inputs.cards.items():
+        console.print(render_card(card, title=f"Geometry card of {folder}"))
+    gates = inputs.gates
     if not gates:
         if any(output is not None for output in outputs):
             raise ValueError("no gate file was given, expected at least one for the outputs asked for: add GATE files")
+        if inputs.loops:
+            console.print(render_closed_loop(inputs.loops))
         return 0
     rows = report_rows(gates, tau=args.tau, nfe=args.nfe)
     console.print(render_table(rows, explain=False))
@@ -95,19 +107,33 @@ def run(args: argparse.Namespace) -> int:
 
         draw_region([row.summary for row in rows], args.figure, normalised=args.normalised)
         console.print(f"attainable region drawn in {args.figure}")
-    if args.paper:
-        from dualhead_eval.report_tables import render_claims, render_comparisons
-
-        console.print()
-        console.print(render_comparisons(gates, rows))
-        console.print()
-        console.print(render_claims(gates))
+    if args.paper or (args.paper is None and inputs.from_folder):
+        _print_beside_paper(console, gates, rows, every_quantity=args.every_quantity)
+    if inputs.loops:
+        console.print(render_closed_loop(inputs.loops))
     if args.figures is not None or args.html is not None:
         _draw_and_write(gates, rows, args)
         for output in (args.figures, args.html):
             if output is not None:
                 console.print(f"written to {output}")
     return 0
+
+
+def _print_beside_paper(console: Console, gates: list[Gate], rows: list[Row], *, every_quantity: bool) -> None:
+    from dualhead_eval.report_tables import render_claims, render_comparisons
+    from dualhead_eval.site_table import compare_sites, render_sites
+
+    sites = compare_sites(gates, rows)
+    console.print()
+    if sites:
+        console.print(render_sites(sites))
+    else:
+        console.print("None of these runs has the setting of a row in the paper.")
+    if every_quantity:
+        console.print()
+        console.print(render_comparisons(gates, rows))
+    console.print()
+    console.print(render_claims(gates))
 
 
 def _draw_and_write(gates: list[Gate], rows: list[Row], args: argparse.Namespace) -> None:
@@ -127,18 +153,3 @@ def _draw_and_write(gates: list[Gate], rows: list[Row], args: argparse.Namespace
 
         page = report_page(gates, rows, figures, compare_with_paper(gates, rows), grade_claims(gates))
         write_text(args.html, page)
-
-
-def _read_card(folder: Path) -> dict:
-    path = folder / "card.json"
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{folder} has no card.json, expected a dataset folder of `dualhead record` (or name a gate file)"
-        )
-    try:
-        card = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not complete JSON ({error}): record the dataset again") from error
-    if not isinstance(card, dict):
-        raise ValueError(f"{path} holds a {type(card).__name__}, expected a JSON object: record the dataset again")
-    return card

@@ -8,7 +8,7 @@ head
 - ``prediction.decision`` (1,): whether the policy decided in this frame;
 - ``certificate.*`` (1,): residual, verdict (its index), effect and capacity of the runtime certificate, which runs
   beside the robot over all episodes;
-- ``meta/dualhead.json``: environment, horizon and n.
+- ``meta/dualhead.json``: environment, horizon and n, and what became of every episode.
 
 The keys do not begin with ``action``, which LeRobot would take for an action. Every decision is a condition
 of its own when the predictions are counted.
@@ -27,6 +27,7 @@ import torch
 
 from dualhead_envs.dataset_frames import read_columns
 from dualhead_eval.certificate_wrapper import CERTIFICATE_FEATURES, CertificateWrapper, certificate_columns
+from dualhead_eval.closed_loop import ROLLOUTS_FORMAT, ClosedLoop, closed_loop_of
 from dualhead_eval.evaluation import make_gate
 from dualhead_eval.gate import Gate
 from dualhead_eval.labelled_pairs import LabelledPairs
@@ -35,7 +36,6 @@ from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.representation import RepresentationLayout
 from dualhead_policy.sampling import SamplingCoupling
 
-FORMAT = "dualhead-rollouts/1"
 OBSERVATIONS = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
 
 
@@ -49,13 +49,14 @@ def record_rollouts(
     episodes: int,
     samples: int = 2,
     seed: int = 0,
+    provenance: Mapping[str, Any] | None = None,
     progress: Callable[[int], object] | None = None,
-) -> dict[str, Any]:
+) -> tuple[ClosedLoop, str]:
     """Roll a policy out and record what it executed and what both heads predicted.
 
-    At every decision ``samples`` chunks of both heads are drawn, each pair with a token of its own (if the policy
-    has tokens). The first pair follows the token of the episode, and its chunk is executed for
-    ``n_action_steps`` steps; were the others to follow it too, both heads would seem collapsed onto one mode.
+    At every decision ``samples`` chunks of both heads are drawn, each pair with a token or latent of its own (if the
+    policy has them). The first pair follows those of the episode, and its chunk is executed for ``n_action_steps``
+    steps; were the others to follow them too, both heads would seem collapsed onto one mode.
 
     Args:
         policy: The policy, in evaluation mode.
@@ -66,10 +67,11 @@ def record_rollouts(
         episodes: Episodes to record; episode i is reset with seed ``seed + i``.
         samples: Chunks per head and decision, at least 2 for within-decision coordination.
         seed: Seed of environment and draws.
+        provenance: What to say of the policy in ``meta/dualhead.json``.
         progress: Called with 1 after every episode.
 
     Returns:
-        ``success_rate`` and ``collision_rate`` over the episodes, and the certificate's ``verdict``.
+        What became of the episodes, and the certificate's verdict after the last.
 
     Raises:
         FileExistsError: If ``root`` exists.
@@ -110,7 +112,7 @@ def record_rollouts(
             progress(1)
     dataset.finalize()
     sidecar = {
-        "format": FORMAT,
+        "format": ROLLOUTS_FORMAT,
         "env_id": env_id,
         "env_kwargs": env_kwargs,
         "layout": layout.name,
@@ -119,14 +121,16 @@ def record_rollouts(
         "num_inference_steps": policy.config.num_inference_steps,
         "seed": seed,
         "partition": env.unwrapped.mode_partition.to_dict(),  # type: ignore[attr-defined]
+        "outcomes": outcomes,
+        "policy": dict(provenance or {}),
     }
     staging = Path(dataset.root)
     (staging / "meta" / "dualhead.json").write_text(json.dumps(sidecar, indent=2))
     staging.rename(root)
     env.close()
-    success, collision = np.mean(outcomes, axis=0)
-    verdict = watched.certificate.verdict
-    return {"success_rate": float(success), "collision_rate": float(collision), "verdict": verdict}
+    loop = closed_loop_of(sidecar)
+    assert loop is not None
+    return loop, watched.certificate.verdict
 
 
 def _create_dataset(root: Path, fps: int, features: dict[str, dict]) -> Any:
@@ -163,10 +167,11 @@ class _Decisions:
         }
 
     def start(self, seed: int) -> None:
-        """Begin an episode: its draws and its token."""
+        """Begin an episode: its draws, and its token or latent."""
         self.policy.reset()
         self.generator = torch.Generator().manual_seed(seed)
         self.token: torch.Tensor | None = None
+        self.latent: torch.Tensor | None = None
 
     def __call__(self, observation: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
         """Decide: sample both heads, keep the chunk to execute, return both heads' paths (n, H, d) in metres."""
@@ -179,7 +184,14 @@ class _Decisions:
             if self.token is not None:
                 token[:, 0] = self.token
             self.token = token[:, 0]
-        drawn = policy.sample(batch, self.samples, coupling=SamplingCoupling(token=token), generator=self.generator)
+        latent = None
+        if policy.shared_latent is not None:
+            latent = policy.shared_latent.draw((1, self.samples), self.generator)
+            if self.latent is not None:
+                latent[:, 0] = self.latent
+            self.latent = latent[:, 0]
+        coupling = SamplingCoupling(token=token, latent=latent)
+        drawn = policy.sample(batch, self.samples, coupling=coupling, generator=self.generator)
         self.predictions = {
             f"prediction.{head}": getattr(drawn, head)[0].flatten().cpu().numpy() for head in policy.head_dims
         }
@@ -189,7 +201,7 @@ class _Decisions:
 
 
 def _roll_out(env: CertificateWrapper, decisions: _Decisions, dataset: Any, executed: np.ndarray, seed: int) -> Any:
-    """Run and record one episode; returns (success, collision)."""
+    """Run and record one episode; returns what became of it."""
     decisions.start(seed)
     observation, info = env.reset(seed=seed)
     done = False
@@ -211,7 +223,12 @@ def _roll_out(env: CertificateWrapper, decisions: _Decisions, dataset: Any, exec
             }
         )
         observation, done = after, terminated or truncated
-    return bool(info["is_success"]), bool(info["collision"])
+    return {
+        "seed": seed,
+        "success": bool(info["is_success"]),
+        "collision": bool(info["collision"]),
+        "mode": int(info["mode"]),
+    }
 
 
 def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | None = None) -> Gate:
@@ -229,10 +246,10 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
     sidecar = json.loads(sidecar_path.read_text()) if sidecar_path.is_file() else {}
     keys = ["prediction.joint", "prediction.position", "prediction.decision"]
     missing = [key for key in keys if key not in info["features"]]
-    if missing or sidecar.get("format") != FORMAT:
+    if missing or sidecar.get("format") != ROLLOUTS_FORMAT:
         raise ValueError(
             f"{root} is not a dataset of recorded rollouts (lacks "
-            f"{missing or FORMAT + ' in meta/dualhead.json'}): "
+            f"{missing or ROLLOUTS_FORMAT + ' in meta/dualhead.json'}): "
             "record one with `dualhead evaluate --policy ... --record DIR`"
         )
     columns = read_columns(root, info, [*keys, "observation.environment_state", "episode_index"])

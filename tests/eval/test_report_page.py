@@ -24,6 +24,7 @@ from dualhead_eval.report_figures import CAPTIONS, report_figures
 from dualhead_eval.report_tables import render_families
 from dualhead_eval.residual_strata import residual_strata
 from dualhead_eval.sensitivity_figure import sensitivity_figure
+from dualhead_eval.site_table import compare_sites, render_sites
 from dualhead_eval.strata_figure import strata_figure
 
 TAUS, NFES = [0.4, 0.55], [10, 20]
@@ -262,3 +263,35 @@ def test_seeds_of_one_mechanism_are_a_family_and_other_settings_are_not():
 def test_numbers_at_another_threshold_are_not_put_beside_the_papers():
     gate = ring("polar noise", 0.67, "polar")
     assert compare_with_paper([gate], report_rows([gate], tau=0.4)) == []
+
+
+def test_runs_and_the_papers_rows_are_compared_by_their_site():
+    oracle = make_gate("oracle", 1.0, partition="bypass-v2", config={"token": "oracle"})
+    collapsed = make_gate("independent?", 1.0, partition="bypass-v2")
+    v3 = make_gate("v3 oracle", 1.0, partition="rotating-v3", config={"token": "oracle"})
+    unknown = make_gate("elsewhere", partition="none")
+    gates = [oracle, collapsed, v3, unknown]
+    sites = compare_sites(gates, report_rows(gates))
+    assert [(c.site, c.paper_site, c.derived) for c in sites] == [
+        ("IV", "IV", False),
+        ("IV", "I", False),
+        ("IV", "IV", True),
+    ]
+    console = Console(width=160, record=True, file=io.StringIO())
+    console.print(render_sites(sites))
+    text = console.export_text()
+    assert "2 of 3 runs lie at the paper's site" in text
+    assert "not independent?: corner IV, where the paper has floor I" in text
+
+
+def test_a_folder_of_gates_is_reported_beside_the_paper(tmp_path, capsys):
+    for label in ("b", "a"):
+        write_gate(make_gate(label, partition="bypass-v2"), tmp_path / f"{label}.gate.json")
+    assert run(parse(tmp_path)) == 0
+    out = capsys.readouterr().out
+    assert "v2/A independent" in out
+    assert out.index(" a ") < out.index(" b ")
+    assert run(parse(tmp_path, "--no-paper")) == 0
+    assert "the paper's row" not in capsys.readouterr().out
+    assert run(parse(tmp_path, "--every-quantity")) == 0
+    assert "capacity" in capsys.readouterr().out
