@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -144,6 +144,42 @@ def _integrate(
         return policy.network.velocity(head, x, now, modulation, spread)
 
     return integrate_euler(velocity, noise, num_steps)
+
+
+def condition_velocity(
+    policy: DualheadPolicy, observation: Tensor, head: str, shared: SharedDraws
+) -> Callable[[Tensor, float], Tensor]:
+    """A head's velocity field under given conditions, in the coordinates of its source noise.
+
+    The walk from noise along it ends where :func:`sample_chunks` does. In these coordinates, the normalised action's
+    own axes less a mean that does not move, the fields of policies with different frames can be compared.
+
+    Args:
+        policy: The policy.
+        observation: Preprocessed observations (N, C).
+        head: ``"joint"``, ``"position"`` or ``"rotation"``.
+        shared: Token (N,) or latent (N, dim) of every row.
+
+    Returns:
+        A function of states (N, H, d) and a time in [0, 1) to velocities (N, H, d).
+    """
+    context = policy.network.encoder(observation)
+    if shared.token is not None:
+        assert policy.tokens is not None
+        context = torch.cat([context, policy.tokens.one_hot(shared.token)], dim=-1)
+    elif shared.latent is not None:
+        assert policy.shared_latent is not None
+        context = torch.cat([context, policy.shared_latent.encode(shared.latent)], dim=-1)
+    frame = policy.frame(head) if policy.frames else None
+
+    def velocity(x: Tensor, time: float) -> Tensor:
+        y = x.flatten(1)
+        y = y if frame is None else frame.rotate(y)
+        moved = policy.head_velocity(head, y, torch.full((len(y),), time, dtype=y.dtype, device=y.device), context)
+        moved = moved if frame is None else moved @ frame.basis.T
+        return moved.unflatten(1, x.shape[1:])
+
+    return velocity
 
 
 def _pairwise(embedding: Tensor, code: Tensor) -> Tensor:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from huggingface_hub import ModelCard
 from lerobot.configs import FeatureType
@@ -17,7 +18,7 @@ from torch import Tensor, nn
 from dualhead_policy.action_scale import ActionScale
 from dualhead_policy.checkpoint_loading import load_strictly
 from dualhead_policy.chunk_frame import ChunkFrame
-from dualhead_policy.chunk_sampling import sample_chunks
+from dualhead_policy.chunk_sampling import SharedDraws, condition_velocity, sample_chunks
 from dualhead_policy.configuration_defaults import fill_in_defaults, note_origin
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.gripper import GripperOutput
@@ -26,6 +27,7 @@ from dualhead_policy.kinematics import rotation_map
 from dualhead_policy.model_card import model_card
 from dualhead_policy.observation_range import ObservationRange
 from dualhead_policy.representation import resolve_representation
+from dualhead_policy.robot_file_kinematics import FILE_SCHEME, carry_robot_file, use_carried_robot_file
 from dualhead_policy.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 from dualhead_policy.scale_fitting import fit_scales
@@ -133,6 +135,8 @@ class DualheadPolicy(PreTrainedPolicy):
             scales["observation_range"] = model.observation_range
         fitted = {name: buffer.clone() for name, buffer in scales.named_buffers()}
         load_strictly(model, model_file, map_location)
+        if model.representation.kinematic_map.startswith(FILE_SCHEME):
+            use_carried_robot_file(model.representation.kinematic_map, Path(model_file).parent)
         if model.config.statistics == "replace":
             scales.load_state_dict(fitted)
         if model._transport is not None:
@@ -143,6 +147,8 @@ class DualheadPolicy(PreTrainedPolicy):
     def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
         super()._save_pretrained(save_directory, state_dict=state_dict)
         (save_directory / "README.md").write_text(self._card(), encoding="utf-8")
+        if self.representation.kinematic_map.startswith(FILE_SCHEME):
+            carry_robot_file(self.representation.kinematic_map, save_directory)
 
     def generate_model_card(self, *_: Any, **__: Any) -> ModelCard:
         """LeRobot's generic card says nothing about a plugin: this is the folder's own (``push_to_hub`` asks)."""
@@ -277,6 +283,39 @@ class DualheadPolicy(PreTrainedPolicy):
         return sample_chunks(
             self, self._observation(batch), num_samples, steps, coupling or SamplingCoupling(), generator
         )
+
+    def velocity_field(
+        self, batch: Mapping[str, Tensor], head: str = "position", *, token: Tensor | None = None, latent: Any = None
+    ) -> Callable[[np.ndarray, float], np.ndarray]:
+        """A head's velocity field, for scores that compare the fields of ensemble members (VFD).
+
+        Args:
+            batch: Preprocessed observations of N conditions (repeat one for many samples of it).
+            head: ``"joint"``, ``"position"`` or ``"rotation"``.
+            token: Token of every row (N,), for a policy with tokens.
+            latent: Latent of every row (N, dim), for a policy with a latent.
+
+        Returns:
+            A function of states (N, H, d), in the coordinates of the source noise, and a time in [0, 1) to velocities
+            (N, H, d), both NumPy arrays, as :func:`dualhead_eval.ensembles.vfd_score` takes it.
+
+        Raises:
+            ValueError: If the policy has no such head, or needs a token or latent that is not given.
+        """
+        if head not in self.head_dims:
+            raise ValueError(f"the policy has no head {head!r}: choose one of {list(self.head_dims)}")
+        for name, part, given in (("token", self.tokens, token), ("latent", self.shared_latent, latent)):
+            if (part is None) != (given is None):
+                needs = f"needs a {name} for every row: pass {name}=..." if part is not None else f"has no {name}"
+                raise ValueError(f"the policy {needs}")
+        field = condition_velocity(self, self._observation(batch), head, SharedDraws(token, latent))
+        dtype = next(self.parameters()).dtype
+
+        @torch.no_grad()
+        def velocity(x: np.ndarray, time: float) -> np.ndarray:
+            return field(torch.from_numpy(np.asarray(x)).to(self.config.device, dtype), time).cpu().numpy()
+
+        return velocity
 
     @torch.no_grad()
     def draw_tokens(

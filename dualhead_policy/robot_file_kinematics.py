@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import shutil
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from functools import cache
@@ -19,6 +20,34 @@ from torch import Tensor
 FILE_SCHEME = "file:"
 #: Parts of an MJCF that need other files or refer to parts left out; none of them moves a body.
 _UNUSED_MJCF = ("asset", "actuator", "sensor", "contact", "tendon", "equality", "keyframe")
+
+
+#: Robot files that came with a policy, by the kinematic map that names the file they were copied from.
+_carried: dict[str, Path] = {}
+
+
+def carry_robot_file(kinematic_map: str, folder: Path) -> None:
+    """Copy the robot's file into a policy's folder, so that the folder is all that a deployed policy needs."""
+    source = _file_of(kinematic_map)
+    target = folder / _copy_name(kinematic_map)
+    if source.is_file() and source.resolve() != target.resolve():
+        shutil.copyfile(source, target)
+
+
+def use_carried_robot_file(kinematic_map: str, folder: Path) -> None:
+    """Read the copy in a policy's folder where the file that ``kinematic_map`` names does not exist."""
+    copy = folder / _copy_name(kinematic_map)
+    if copy.is_file():
+        _carried[kinematic_map] = copy
+
+
+def _copy_name(kinematic_map: str) -> str:
+    return "robot" + parse_robot_file(kinematic_map)[0].suffix
+
+
+def _file_of(kinematic_map: str) -> Path:
+    path, _ = parse_robot_file(kinematic_map)
+    return path if path.is_file() else _carried.get(kinematic_map, path)
 
 
 def parse_robot_file(kinematic_map: str) -> tuple[Path, str]:
@@ -64,8 +93,8 @@ def robot_file_rotation(kinematic_map: str) -> Callable[[Tensor], Tensor]:
 
 
 def _pose(kinematic_map: str) -> Callable[[Tensor], Tensor]:
-    path, link = parse_robot_file(kinematic_map)
-    chain = _serial_chain(path, link)
+    _, link = parse_robot_file(kinematic_map)
+    chain = _serial_chain(_file_of(kinematic_map), link)
     joints = len(chain.get_joint_parameter_names())
 
     def to_pose(values: Tensor) -> Tensor:

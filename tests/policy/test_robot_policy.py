@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from lerobot.policies import make_policy
 
 from dualhead_envs.bypass.lift_model import lift_mjcf
 from dualhead_envs.dataset_frames import read_split
-from dualhead_policy import DualheadConfig, SamplingCoupling
+from dualhead_eval.ensembles import vfd_score
+from dualhead_policy import DualheadConfig, DualheadPolicy, SamplingCoupling
 from dualhead_policy.keyed_random import keyed_generator
 from dualhead_policy.panda_kinematics import panda_position, panda_rotation
 from dualhead_policy.rotation6d import columns_from_matrix, matrix_from_columns
@@ -254,6 +257,52 @@ def test_a_robots_file_gives_the_consistency_loss_of_the_built_in_arm(build, win
         losses[kinematics] = policy.compute_loss(*windows[:2], None)[1]["consistency"].item()
     built_in, from_file = losses.values()
     assert from_file == pytest.approx(built_in, rel=1e-4)
+
+
+def test_a_folder_brings_the_robots_file_along(build, batch, tmp_path):
+    """Without a rotation head, a deployed policy needs the kinematics to hold the start orientation."""
+    path = tmp_path / "elsewhere" / "lift.xml"
+    path.parent.mkdir()
+    path.write_text(lift_mjcf())
+    policy = build(kinematic_map=f"file:{path}#gripper0_grip_site")
+    policy.save_pretrained(tmp_path / "hub")
+    shutil.rmtree(path.parent)
+    deployed = DualheadPolicy.from_pretrained(tmp_path / "hub")
+    assert deployed.predict_action_chunk(batch).isfinite().all()
+    deployed.save_pretrained(tmp_path / "again")
+    assert (tmp_path / "again" / "robot.xml").read_text() == lift_mjcf()
+
+
+@pytest.mark.parametrize("name", ["independent", "prior", "oracle", "bare network"])
+@pytest.mark.parametrize("head", ["joint", "position"])
+def test_a_walk_along_the_velocity_field_ends_where_sampling_does(build, batch, name, head):
+    policy = build(**MECHANISMS[name]).eval()
+    for parameter in policy.network.parameters():
+        torch.nn.init.normal_(parameter, std=0.1)
+    n = len(batch["observation.state"])
+    noise = {h: torch.randn(n, 1, 16, d, generator=keyed_generator(3)) for h, d in policy.head_dims.items()}
+    drawn = policy.sample(batch, 1, num_steps=5, coupling=SamplingCoupling(source_noise=noise))
+    shared = {"token": drawn.token, "latent": drawn.latent}
+    field = policy.velocity_field(batch, head, **{k: v[:, 0] for k, v in shared.items() if v is not None})
+    x = noise[head][:, 0].numpy()
+    for step in range(5):
+        x = x + field(x, step / 5) / 5
+    frame = policy.frames[head] if policy.frames else None
+    clean = torch.from_numpy(x).flatten(1)
+    clean = clean if frame is None else frame.rotate(clean)
+    expected = policy.physical_chunk(head, clean, policy._observation(batch))
+    assert torch.allclose(getattr(drawn, head)[:, 0], expected, atol=1e-4)
+    # The same member twice does not disagree with itself.
+    assert vfd_score([field, field], noise[head][:, 0].numpy(), num_steps=3).max() == 0
+
+
+def test_a_velocity_field_without_its_token_is_refused(build, batch):
+    with pytest.raises(ValueError, match="needs a token for every row"):
+        build(token="oracle").velocity_field(batch)
+    with pytest.raises(ValueError, match="has no latent"):
+        build().velocity_field(batch, latent=torch.zeros(4, 16))
+    with pytest.raises(ValueError, match="has no head 'rotation'"):
+        build().velocity_field(batch, "rotation")
 
 
 def test_rotations_are_the_environments(panda_data):
