@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-import shutil
+import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from functools import cache
@@ -22,32 +22,47 @@ FILE_SCHEME = "file:"
 _UNUSED_MJCF = ("asset", "actuator", "sensor", "contact", "tendon", "equality", "keyframe")
 
 
-#: Robot files that came with a policy, by the kinematic map that names the file they were copied from.
-_carried: dict[str, Path] = {}
+#: File of a policy's folder with the robot's description: JSON, which LeRobot uploads where it leaves XML behind.
+CARRIED_FILE = "robot.json"
+#: Descriptions that came with a policy, by the kinematic map that names the file they were copied from.
+_carried: dict[str, str] = {}
 
 
 def carry_robot_file(kinematic_map: str, folder: Path) -> None:
-    """Copy the robot's file into a policy's folder, so that the folder is all that a deployed policy needs."""
-    source = _file_of(kinematic_map)
-    target = folder / _copy_name(kinematic_map)
-    if source.is_file() and source.resolve() != target.resolve():
-        shutil.copyfile(source, target)
+    """Copy the robot's description into a policy's folder, so that a deployed policy needs nothing else.
+
+    Raises:
+        FileNotFoundError: If the file is gone, and no folder brought a copy of it.
+    """
+    content = {"kinematic_map": kinematic_map, "description": _description(kinematic_map)}
+    (folder / CARRIED_FILE).write_text(json.dumps(content), encoding="utf-8")
 
 
 def use_carried_robot_file(kinematic_map: str, folder: Path) -> None:
-    """Read the copy in a policy's folder where the file that ``kinematic_map`` names does not exist."""
-    copy = folder / _copy_name(kinematic_map)
-    if copy.is_file():
-        _carried[kinematic_map] = copy
+    """Fall back on the copy in a policy's folder where the file that ``kinematic_map`` names does not exist.
+
+    Raises:
+        ValueError: If the copy is damaged.
+    """
+    copy = folder / CARRIED_FILE
+    if not copy.is_file():
+        return
+    try:
+        _carried[kinematic_map] = json.loads(copy.read_text(encoding="utf-8"))["description"]
+    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{copy} holds no robot's description ({error}): copy the policy's folder again") from error
 
 
-def _copy_name(kinematic_map: str) -> str:
-    return "robot" + parse_robot_file(kinematic_map)[0].suffix
-
-
-def _file_of(kinematic_map: str) -> Path:
+def _description(kinematic_map: str) -> str:
     path, _ = parse_robot_file(kinematic_map)
-    return path if path.is_file() else _carried.get(kinematic_map, path)
+    if not path.is_file():
+        if kinematic_map in _carried:
+            return _carried[kinematic_map]
+        raise FileNotFoundError(f"{path} does not exist: give the path of the robot's URDF or MJCF file")
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not XML ({error}): give the path of the robot's URDF or MJCF file") from error
 
 
 def parse_robot_file(kinematic_map: str) -> tuple[Path, str]:
@@ -94,7 +109,7 @@ def robot_file_rotation(kinematic_map: str) -> Callable[[Tensor], Tensor]:
 
 def _pose(kinematic_map: str) -> Callable[[Tensor], Tensor]:
     _, link = parse_robot_file(kinematic_map)
-    chain = _serial_chain(_file_of(kinematic_map), link)
+    chain = _serial_chain(kinematic_map)
     joints = len(chain.get_joint_parameter_names())
 
     def to_pose(values: Tensor) -> Tensor:
@@ -110,12 +125,11 @@ def _pose(kinematic_map: str) -> Callable[[Tensor], Tensor]:
 
 
 @cache
-def _serial_chain(path: Path, link: str) -> Any:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: give the path of the robot's URDF or MJCF file")
+def _serial_chain(kinematic_map: str) -> Any:
+    path, link = parse_robot_file(kinematic_map)
     try:
-        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+        root = ElementTree.fromstring(_description(kinematic_map))
+    except ElementTree.ParseError as error:
         raise ValueError(f"{path} is not XML ({error}): give the path of the robot's URDF or MJCF file") from error
     if root.tag not in ("robot", "mujoco"):
         raise ValueError(

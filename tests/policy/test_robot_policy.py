@@ -270,7 +270,8 @@ def test_a_folder_brings_the_robots_file_along(build, batch, tmp_path):
     deployed = DualheadPolicy.from_pretrained(tmp_path / "hub")
     assert deployed.predict_action_chunk(batch).isfinite().all()
     deployed.save_pretrained(tmp_path / "again")
-    assert (tmp_path / "again" / "robot.xml").read_text() == lift_mjcf()
+    assert {file.suffix for file in (tmp_path / "again").iterdir()} == {".safetensors", ".json", ".md"}
+    assert (tmp_path / "again" / "robot.json").read_text() == (tmp_path / "hub" / "robot.json").read_text()
 
 
 @pytest.mark.parametrize("name", ["independent", "prior", "oracle", "bare network"])
