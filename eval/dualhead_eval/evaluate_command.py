@@ -38,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tau", type=float, nargs="+", default=[], help="further thresholds to count at")
     parser.add_argument("--seed", type=int, default=0, help="seed of the draws (default: 0)")
     parser.add_argument("--overwrite", action="store_true", help="replace the output file if it exists")
+    parser.add_argument(
+        "--update-card", action="store_true", help="with --policy: write the numbers into the policy's own card too"
+    )
     loop = parser.add_argument_group("closed loop, with --policy")
     loop.add_argument(
         "--record",
@@ -79,10 +82,16 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.gate import write_gate
     from dualhead_eval.report import render_table
 
+    if args.update_card and (not args.policy or args.record is not None):
+        raise ValueError("--update-card writes sampled numbers into a policy's card: give --policy without --record")
     if args.record is not None and not args.policy:
         raise ValueError("--record rolls out a policy: give --policy too")
     gate = _rollouts(args) if args.rollouts else _rolled_out(args) if args.record else _sampled(args)
     write_gate(gate, args.output, overwrite=args.overwrite)
+    if args.update_card:
+        from dualhead_eval.policy_card import write_card_numbers
+
+        print(f"numbers written to {write_card_numbers(args.policy, gate)}")
 
     from rich.console import Console
 

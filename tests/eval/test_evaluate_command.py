@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from dualhead_eval.cli import main
 from dualhead_eval.gate import read_gate
+from dualhead_policy.pretrained import policy_folder
 
 LIGHT = ("torch", "lerobot", "mujoco", "matplotlib")
 
@@ -62,6 +64,18 @@ def test_recorded_rollouts_are_a_lerobot_dataset_that_evaluates_to_the_same_gate
     assert read_gate(again).counts.sum() == 3 * 4
 
 
+def test_protocol_numbers_reach_the_policys_card(trained, ring_data, tmp_path):
+    folder = shutil.copytree(policy_folder(trained), tmp_path / "policy")
+    arguments = ["evaluate", "--policy", str(folder), "--dataset", str(ring_data / "test"), "--pairs", "8"]
+    before = (folder / "README.md").read_text()
+    assert main([*arguments, "--output", str(tmp_path / "a.gate.json"), "--update-card"]) == 0
+    card, gate = (folder / "README.md").read_text(), read_gate(tmp_path / "a.gate.json")
+    rate = (gate.pair_table()[:, :2, :2].sum() / gate.pair_table().sum()).item()
+    assert f"| valid-pair rate | {rate:.4g} |" in card
+    assert "| sample pairs a condition | 8 |" in card
+    assert set(before.splitlines()) <= set(card.splitlines())
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -73,6 +87,7 @@ def test_recorded_rollouts_are_a_lerobot_dataset_that_evaluates_to_the_same_gate
         (["--exact", "--dataset", "{data}/test", "--source-noise-beta", "2"], "outside"),
         (["--rollouts", "{data}/test"], "not a dataset of recorded rollouts"),
         (["--exact", "--dataset", "{data}/test", "--record", "x"], "give --policy too"),
+        (["--exact", "--dataset", "{data}/test", "--update-card"], "give --policy without --record"),
     ],
 )
 def test_what_cannot_be_evaluated_is_refused_in_one_line(arguments, sentence, ring_data, tmp_path, capsys, monkeypatch):

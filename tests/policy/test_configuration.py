@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
+
 import pytest
+from lerobot.configs import PreTrainedConfig
 
 from dualhead_policy import DualheadConfig
 from dualhead_policy.representation import RepresentationLayout
@@ -68,3 +72,10 @@ def test_another_layout_is_refused_with_the_first_difference():
     theirs = RepresentationLayout.from_names([name.replace("nullspace", "polar") for name in RING])
     with pytest.raises(ValueError, match=r"'joint.polar.0' instead of 'joint.nullspace.0' at index 0"):
         ours.require_same(theirs, owner="the policy", given="dataset d")
+
+
+def test_every_field_is_documented():
+    text = (Path(__file__).parents[2] / "docs" / "policy.md").read_text()
+    inherited = {field.name for field in dataclasses.fields(PreTrainedConfig)}
+    own = {field.name for field in dataclasses.fields(DualheadConfig)} - inherited
+    assert {name for name in own if f"`{name}`" not in text} == {"normalization_mapping"}
