@@ -35,10 +35,10 @@ from dualhead_policy.shared_latent import CODE_DIM, SharedLatent
 from dualhead_policy.token_fitting import fit_tokens, make_token_table
 from dualhead_policy.token_prior import TokenPrior
 from dualhead_policy.tokens import TokenTable
-from dualhead_policy.training_objective import latent_sensitivity, training_loss
+from dualhead_policy.training_objective import latent_sensitivity, teacher_forced_residuals, training_loss
 
-#: Training steps between two measurements of the latent's influence.
-SENSITIVITY_EVERY = 200
+#: Training steps between two measurements of what is logged beside the loss.
+MEASURE_EVERY = 200
 
 
 class DualheadPolicy(PreTrainedPolicy):
@@ -186,10 +186,12 @@ class DualheadPolicy(PreTrainedPolicy):
         if not torch.isfinite(action).all():
             raise ValueError("the batch holds a non-finite action: drop that episode or record the dataset again")
         observation = self._observation(batch)
-        loss, parts = self.compute_loss(observation, action, self._training_tokens(batch))
+        token = self._training_tokens(batch)
+        loss, parts = self.compute_loss(observation, action, token)
         report = {f"loss_{name}": part.item() for name, part in parts.items()}
-        if self.training_step % SENSITIVITY_EVERY == 0:
-            report |= {f"latent_sensitivity_{h}": change for h, change in self.sensitivity(observation, action).items()}
+        if self.training_step % MEASURE_EVERY == 0:
+            for quantity, values in self.measure(observation, action, token).items():
+                report |= {f"{quantity}_{name}": value for name, value in values.items()}
         return loss, report
 
     def compute_loss(
@@ -203,6 +205,13 @@ class DualheadPolicy(PreTrainedPolicy):
         if self.shared_latent is None:
             return {}
         return latent_sensitivity(self, observation, action)
+
+    def measure(self, observation: Tensor, action: Tensor, token: Tensor | None) -> dict[str, dict[str, float]]:
+        """What training logs beside the loss: ``residual`` (teacher-forced) and, with a latent, its sensitivity."""
+        measured = {"residual": teacher_forced_residuals(self, observation, action, token)}
+        if self.shared_latent is not None:
+            measured["latent_sensitivity"] = self.sensitivity(observation, action)
+        return measured
 
     def update(self) -> None:
         """Advance the training step; LeRobot calls this after every optimiser step."""

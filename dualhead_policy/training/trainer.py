@@ -18,7 +18,7 @@ from lerobot.utils.random_utils import set_seed
 
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
-from dualhead_policy.modeling_dualhead import SENSITIVITY_EVERY, DualheadPolicy
+from dualhead_policy.modeling_dualhead import MEASURE_EVERY, DualheadPolicy
 from dualhead_policy.training.checkpoints import had_fresh_paths, write_checkpoint
 from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
 
@@ -146,8 +146,8 @@ class Training:
         saved: Path | None = None
         while self.step < cfg.steps:
             batch = self.source.batch(self.step)
-            if self.step % SENSITIVITY_EVERY == 0:
-                log.measure(self.policy.sensitivity(batch.observation, batch.action))
+            if self.step % MEASURE_EVERY == 0:
+                log.measure(self.policy.measure(batch.observation, batch.action, batch.token))
             loss = self.update(batch)
             if loss != loss:
                 raise ValueError(
@@ -173,12 +173,12 @@ class TrainingLog:
             kept = [line for line in path.read_text().splitlines() if line and json.loads(line)["step"] <= step]
         path.write_text("".join(line + "\n" for line in kept))
         self._losses: list[float] = []
-        self._sensitivity: dict[str, float] = {}
+        self._measured: dict[str, dict[str, float]] = {}
         self._since = time.perf_counter()
 
-    def measure(self, sensitivity: dict[str, float]) -> None:
-        """Keep the latent's influence on each head (tab:sensitivity) for the next line."""
-        self._sensitivity = sensitivity
+    def measure(self, measured: dict[str, dict[str, float]]) -> None:
+        """Keep what was measured beside the loss for the next line."""
+        self._measured = measured
 
     def add(self, step: int, loss: float) -> None:
         self._losses.append(loss)
@@ -194,8 +194,7 @@ class TrainingLog:
             "loss": sum(self._losses) / len(self._losses),
             "steps_per_second": len(self._losses) / seconds,
         }
-        if self._sensitivity:
-            line["latent_sensitivity"] = self._sensitivity
+        line |= self._measured
         with self.path.open("a") as file:
             file.write(json.dumps(line) + "\n")
-        self._losses, self._since = [], time.perf_counter()
+        self._losses, self._measured, self._since = [], {}, time.perf_counter()

@@ -10,6 +10,7 @@ import pytest
 import torch
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies import make_policy
+from scipy.spatial.transform import Rotation
 
 from dualhead_envs.bypass.lift_model import lift_mjcf
 from dualhead_envs.dataset_frames import read_split
@@ -91,13 +92,9 @@ def test_the_gradient_of_every_mechanism_agrees_with_finite_differences(build, w
         assert (values[0] - values[1]) / (2 * step) == pytest.approx(parameter.grad[where].item(), rel=1e-3, abs=1e-7)
 
 
-def test_the_consistency_loss_is_that_of_the_clean_endpoints(build, windows):
-    """Recomputed outside the frames, in the plain coordinates of the paper: a = x_t + (1 - t) v."""
-    policy = build(consistency_weight=2.0, source_noise_beta=0.0, observation_noise=0.0).double()
-    observation, action, _ = windows
-    _, parts = policy.compute_loss(observation, action, None)
-    generator = keyed_generator(policy.config.seed, 0, "train")
-    chunks = draw_noisy_chunks(policy, observation, action, generator)
+def plain_endpoints(policy, observation, action, purpose):
+    """Clean endpoints outside the frames, in the plain coordinates of the paper: a = x_t + (1 - t) v."""
+    chunks = draw_noisy_chunks(policy, observation, action, keyed_generator(policy.config.seed, 0, purpose))
     context = policy.network.encoder(observation)
     endpoint = {}
     for head, part in policy.head_slices.items():
@@ -108,9 +105,30 @@ def test_the_consistency_loss_is_that_of_the_clean_endpoints(build, windows):
         x = (1 - time) * noise + time * policy.action_scale.normalize(action)[..., part].flatten(1)
         clean = (x + (1 - time) * velocity).unflatten(1, (16, -1))
         endpoint[head] = policy.action_scale.unnormalize(clean, part)
+    return endpoint
+
+
+def test_the_consistency_loss_is_that_of_the_clean_endpoints(build, windows):
+    policy = build(consistency_weight=2.0, source_noise_beta=0.0, observation_noise=0.0).double()
+    observation, action, _ = windows
+    _, parts = policy.compute_loss(observation, action, None)
+    endpoint = plain_endpoints(policy, observation, action, "train")
     difference = (panda_position(endpoint["joint"]) - endpoint["position"]) / policy.action_scale.scale[7:10]
     spread = policy.action_scale.spread[7:10]
     assert parts["consistency"].item() == pytest.approx(2 * (difference / spread).square().mean().item())
+
+
+def test_teacher_forced_residuals_are_those_of_the_clean_endpoints(build, windows):
+    policy = build(rotation_head=True, observation_noise=0.0).double()
+    observation, action, _ = windows
+    residual = policy.measure(observation, action, None)["residual"]
+    endpoint = plain_endpoints(policy, observation, action, "residual")
+    apart = (panda_position(endpoint["joint"]) - endpoint["position"]).detach().numpy()
+    assert residual["position_mm"] == pytest.approx(1000 * np.linalg.norm(apart, axis=-1).mean())
+    ours = panda_rotation(endpoint["joint"]).detach().numpy().reshape(-1, 3, 3)
+    theirs = matrix_from_columns(endpoint["rotation"]).detach().numpy().reshape(-1, 3, 3)
+    angle = (Rotation.from_matrix(ours).inv() * Rotation.from_matrix(theirs)).magnitude()
+    assert residual["rotation_deg"] == pytest.approx(np.degrees(angle).mean(), rel=1e-4)
 
 
 def test_a_mechanism_leaves_the_noise_and_times_of_the_others_as_they_are(build, windows):

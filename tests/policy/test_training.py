@@ -94,12 +94,13 @@ def test_a_killed_run_resumes_to_the_weights_of_an_uninterrupted_one(ring_data, 
     assert all(torch.equal(whole[name], cut[name]) for name in whole)
 
 
-def test_the_latents_influence_is_logged(ring_data, tmp_path):
+def test_residual_and_latents_influence_are_logged(ring_data, tmp_path):
     more = ["--steps=3", "--save_freq=3", "--policy.latent=prior"]
     Training(parse_training_config(flags(ring_data, tmp_path / "run", *more), None)).run()
     line = json.loads((tmp_path / "run" / "training_log.jsonl").read_text().splitlines()[0])
     assert set(line["latent_sensitivity"]) == {"joint", "position"}
     assert all(change > 0 for change in line["latent_sensitivity"].values())
+    assert line["residual"]["position_mm"] > 0
 
 
 def test_fresh_paths_never_repeat_and_depend_on_the_step_alone(ring_data, tmp_path):
