@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dualhead_eval.aggregation import RunSummary
 from dualhead_eval.inference import MARGIN
@@ -24,7 +25,7 @@ def forest_figure(runs: Sequence[RunSummary]) -> Figure:
     if not drawn:
         raise ValueError("no run has a defined rho, expected at least one for a forest plot")
     height = 1.3 + 0.27 * len(drawn)
-    figure = Figure(figsize=(9.2, height), dpi=160, layout="constrained")
+    figure = Figure(figsize=(9.2, height), dpi=160, layout=ConstrainedLayoutEngine(wspace=0.05))
     whole, close = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     rows = np.arange(len(drawn))[::-1]
     for ax in (whole, close):
@@ -43,6 +44,7 @@ def forest_figure(runs: Sequence[RunSummary]) -> Figure:
     whole.set_yticks(rows, [run.label for run in drawn], fontsize=8)
     whole.set_ylim(-0.7, len(drawn) - 0.3)
     close.set_xlim(-_CLOSE_UP, _CLOSE_UP)
+    close.set_xticks([-2 * MARGIN, -MARGIN, 0, MARGIN, 2 * MARGIN])
     close.set_title("close-up of zero", fontsize=9)
     whole.set_title(f"blue: equivalent to zero within {MARGIN:.0%} (band)", fontsize=9)
     for row, run in zip(rows, drawn, strict=True):

@@ -150,6 +150,8 @@ def _draw_and_write(gates: list[Gate], rows: list[Row], args: argparse.Namespace
         from dualhead_eval.claims import grade_claims
         from dualhead_eval.paper_numbers import compare_with_paper
         from dualhead_eval.report_page import report_page
+        from dualhead_eval.site_table import compare_sites
 
-        page = report_page(gates, rows, figures, compare_with_paper(gates, rows), grade_claims(gates))
+        comparisons, sites = compare_with_paper(gates, rows), compare_sites(gates, rows)
+        page = report_page(gates, rows, figures, comparisons, sites, grade_claims(gates))
         write_text(args.html, page)

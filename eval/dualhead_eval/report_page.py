@@ -19,6 +19,7 @@ from dualhead_eval.report import EXPLANATION, RHO, Row
 from dualhead_eval.report_figures import CAPTIONS
 from dualhead_eval.residual_strata import summarise_strata
 from dualhead_eval.seed_inference import benjamini_hochberg
+from dualhead_eval.site_table import SiteComparison, site_notes
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em;
@@ -26,6 +27,7 @@ body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; mar
 table { border-collapse: collapse; font-size: 0.88em; margin: 0.6em 0; }
 th, td { padding: 0.25em 0.7em; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }
 th { border-bottom: 2px solid #888; } td:first-child, th:first-child, td.text, th.text { text-align: left; }
+td.range { white-space: nowrap; }
 td.warn { background: #fff3c4; } .wide { overflow-x: auto; } figure { margin: 1.2em 0; }
 figure img { max-width: 100%; } figcaption, .note { color: #555; font-size: 0.9em; }
 details { margin: 0.5em 0; } pre { font-size: 0.8em; background: #f6f6f6; padding: 0.8em; overflow-x: auto; }
@@ -39,6 +41,7 @@ def report_page(
     rows: Sequence[Row],
     figures: Mapping[str, bytes],
     comparisons: Sequence[Comparison],
+    sites: Sequence[SiteComparison],
     grades: Sequence[Grade],
 ) -> str:
     """The page as one string; images are embedded, nothing is fetched."""
@@ -48,7 +51,8 @@ def report_page(
         ("Figures", _figures(figures)),
         ("The residual between the two decodings", _residuals(gates)),
         ("More than two heads", _all_heads(gates)),
-        ("Beside the paper's numbers", _comparisons(comparisons)),
+        ("Beside the paper's rows", _sites(sites)),
+        ("Every quantity beside the paper's", _comparisons(comparisons)),
         ("The paper's claims on these runs", _grades(grades)),
         ("Where the numbers come from", _provenance(gates)),
     ]
@@ -64,7 +68,7 @@ def _table(head: Sequence[str], lines: Iterable[Sequence[str]], text: Sequence[i
     """An HTML table; cells are escaped here, columns in ``text`` are left-aligned, "! " marks a warning."""
 
     def cell(tag: str, index: int, content: str) -> str:
-        kinds = ["text"] if index in text else []
+        kinds = ["text"] if index in text else ["range"] if content.startswith("[") else []
         if content.startswith("! "):
             kinds, content = [*kinds, "warn"], content[2:]
         attribute = f' class="{" ".join(kinds)}"' if kinds else ""
@@ -96,8 +100,9 @@ def _equivalence(test: Equivalence) -> str:
 
 
 def _effects(rows: Sequence[Row]) -> str:
-    head = ["run", "heads", "K", "tau", "NFE", "valid", "obs", "BL", "Delta", "95%", "C", "C tight", RHO, "95%"]
-    head += [f"|{RHO}| < 2%?", f"p ({RHO} = 0), BH", "pooled Delta", "Simpson", "TV to data A/B", "reading"]
+    # What a reader looks for first stands left; the page scrolls to the rest.
+    head = ["run", "reading", "valid", RHO, "95%", f"|{RHO}| < 2%?", "C", "Delta", "95%", "obs", "BL", "C tight"]
+    head += [f"p ({RHO} = 0), BH", "pooled Delta", "Simpson", "TV to data A/B", "heads", "K", "tau", "NFE"]
     p_values = np.array([row.summary.p_value for row in rows])
     # One family of tests: every run on the page whose rho is defined.
     defined = np.isfinite(p_values)
@@ -110,28 +115,28 @@ def _effects(rows: Sequence[Row]) -> str:
         lines.append(
             [
                 s.label + (" (unbiased estimates)" if s.estimator == "unbiased" else ""),
-                " / ".join(s.heads),
-                str(s.n_modes),
-                f"{s.tau:g}",
-                str(s.nfe),
+                row.reading if row.readable else f"! {row.reading}",
                 f"{s.valid_rate:.4f}",
-                _figure(s.obs, ".4f"),
-                _figure(s.bl, ".4f"),
-                _figure(s.delta, "+.4f"),
-                _range(delta.low, delta.high, "+.4f"),
-                _figure(s.capacity, ".4f"),
-                _figure(s.capacity_tight, ".4f"),
                 _figure(s.rho, "+.1%"),
                 _range(rho.low, rho.high, "+.1%"),
                 _equivalence(test),
+                _figure(s.capacity, ".4f"),
+                _figure(s.delta, "+.4f"),
+                _range(delta.low, delta.high, "+.4f"),
+                _figure(s.obs, ".4f"),
+                _figure(s.bl, ".4f"),
+                _figure(s.capacity_tight, ".4f"),
                 _figure(p_value, ".2g"),
                 _figure(s.delta_pooled, "+.4f"),
                 _figure(s.simpson, "+.4f"),
                 f"{s.tv_target_q:.3f} / {s.tv_target_p:.3f}" if s.tv_target_q == s.tv_target_q else "no target",
-                row.reading if row.readable else f"! {row.reading}",
+                " / ".join(s.heads),
+                str(s.n_modes),
+                f"{s.tau:g}",
+                str(s.nfe),
             ]
         )
-    return _table(head, lines, text=(0, 1, len(head) - 1))
+    return _table(head, lines, text=(0, 1, 16))
 
 
 def _families(gates: Sequence[Gate], rows: Sequence[Row]) -> str:
@@ -225,6 +230,18 @@ def _all_heads(gates: Sequence[Gate]) -> str:
             )
     head = ["run", "heads", "all valid", "all in one mode", "95%", "expected by chance"]
     return _table(head, lines, text=(0, 1)) if lines else ""
+
+
+def _sites(sites: Sequence[SiteComparison]) -> str:
+    if not sites:
+        return ""
+    head = ["run", "the paper's row", "valid, ours / paper", f"{RHO}, ours / paper", "difference"]
+    head += ["residual mm, ours / paper", "site, ours / paper", "same site?"]
+    lines = []
+    for site in sites:
+        cells = list(site.cells())
+        lines.append([*cells[:-1], cells[-1] if site.agrees else f"! {cells[-1]}"])
+    return _table(head, lines, text=(0, 1)) + "".join(f'<p class="note">{escape(n)}</p>' for n in site_notes(sites))
 
 
 def _comparisons(comparisons: Sequence[Comparison]) -> str:

@@ -51,6 +51,24 @@ class SiteComparison:
         """Whether both runs lie at the same site."""
         return self.site == self.paper_site
 
+    def cells(self) -> tuple[str, ...]:
+        """A table's cells: run, paper's row, valid-pair rate, rho, difference, residual, site, same site or not."""
+        s, rho = self.row.summary, self._value("rho")
+        return (
+            s.label,
+            self.paper_name,
+            _pair(s.valid_rate, self._value("valid_pair_rate"), ".3f"),
+            _pair(s.rho, rho, "+.1%"),
+            "" if rho is None or s.rho != s.rho else f"{100 * (s.rho - rho):+.1f} points",
+            _pair(self.residual, self._value("residual_mm"), ".1f"),
+            f"{self.site} / {self.paper_site}{'*' if self.derived else ''}",
+            "yes" if self.agrees else "NO",
+        )
+
+    def _value(self, quantity: str) -> float | None:
+        figure = self.printed.get(quantity)
+        return None if figure is None else figure.value
+
 
 def compare_sites(gates: Sequence[Gate], rows: Iterable[Row]) -> list[SiteComparison]:
     """The first pair of heads of every gate that has a row in the paper, at its reference operating point."""
@@ -87,34 +105,23 @@ def render_sites(comparisons: Sequence[SiteComparison]) -> Group:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("same?", no_wrap=True)
     for c in comparisons:
-        s = c.row.summary
-        rho = c.printed["rho"].value
-        table.add_row(
-            s.label,
-            c.paper_name,
-            _pair(s.valid_rate, _value(c, "valid_pair_rate"), ".3f"),
-            _pair(s.rho, rho, "+.1%"),
-            "" if rho is None or s.rho != s.rho else f"{100 * (s.rho - rho):+.1f} points",
-            _pair(c.residual, _value(c, "residual_mm"), ".1f"),
-            f"{c.site} / {c.paper_site}{'*' if c.derived else ''}",
-            "yes" if c.agrees else "NO",
-        )
+        table.add_row(*c.cells())
+    return Group(table, *site_notes(comparisons))
+
+
+def site_notes(comparisons: Sequence[SiteComparison]) -> list[str]:
+    """What the sites are, how many agree, and which do not."""
     sites = ", ".join(f"{numeral} {name}" for numeral, name in SITE_NAMES.items() if numeral not in "-?")
-    parts: list[Table | str] = [table, f"site: where the run lies in the attainable region ({sites}; - negative)"]
+    notes = [f"site: where the run lies in the attainable region ({sites}; - negative)"]
     if any(c.derived for c in comparisons):
-        parts.append("* the paper prints no site for this row: it follows from its rho and C by the same thresholds")
+        notes.append("* the paper prints no site for this row: it follows from its rho and C by the same thresholds")
     different = [c for c in comparisons if not c.agrees]
     total = len(comparisons)
-    parts.append(f"{total - len(different)} of {total} runs lie at the paper's site")
-    parts += [
+    notes.append(f"{total - len(different)} of {total} runs lie at the paper's site")
+    notes += [
         f"  not {c.row.summary.label}: {_site(c.site)}, where the paper has {_site(c.paper_site)}" for c in different
     ]
-    return Group(*parts)
-
-
-def _value(comparison: SiteComparison, quantity: str) -> float | None:
-    figure = comparison.printed.get(quantity)
-    return None if figure is None else figure.value
+    return notes
 
 
 def _pair(ours: float | None, paper: float | None, spec: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dualhead_eval.gate import Gate
 from dualhead_eval.residual_strata import summarise_strata
@@ -24,7 +25,7 @@ def strata_figure(gates: Sequence[Gate], component: str = "position") -> Figure:
         raise ValueError(f"no gate holds residual strata {component!r}, expected at least one: evaluate again")
     parts = [gate.strata[component].at(gate.index()) for gate in drawn]
     height = 1.5 + 0.33 * len(drawn)
-    figure = Figure(figsize=(9.2, height), dpi=160, layout="constrained")
+    figure = Figure(figsize=(9.2, height), dpi=160, layout=ConstrainedLayoutEngine(wspace=0.05))
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     rows = np.arange(len(drawn))[::-1]
     for row, strata in zip(rows, parts, strict=True):
@@ -52,7 +53,7 @@ def strata_figure(gates: Sequence[Gate], component: str = "position") -> Figure:
     left.set_xlim(left=0)
     left.legend(fontsize=7, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     right.set_xlim(0, 1)
-    right.set_xlabel("share of the residual from cross-mode pairs")
+    right.set_xlabel("share of the residual from\ncross-mode pairs")
     for ax in (left, right):
         ax.spines[["top", "right"]].set_visible(False)
     return figure
