@@ -12,9 +12,10 @@ import torch
 
 from dualhead_eval.counts import joint_table
 from dualhead_eval.gate import Gate
-from dualhead_eval.labelled_pairs import HEADS, LabelledPairs, ModePartition
+from dualhead_eval.labelled_pairs import ROTATION, LabelledPairs, ModePartition
 from dualhead_eval.residual_strata import residual_strata
-from dualhead_policy.kinematics import position_map
+from dualhead_policy.kinematics import position_map, rotation_map
+from dualhead_policy.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import Sampler, SamplingCoupling
 
 #: The frozen protocol (sec:gate): 64 samples in each of 20 draws a condition, 20 Euler steps.
@@ -81,6 +82,10 @@ def sample_pairs(
             coupling=protocol.coupling,
             generator=torch.Generator().manual_seed(seed),
         )
+        rotations = None
+        if samples.rotation is not None:
+            joint_rotation = columns_from_matrix(rotation_map(kinematic_map)(samples.joint.double()))
+            rotations = (joint_rotation.cpu().numpy(), samples.rotation.double().cpu().numpy())
         parts.append(
             LabelledPairs.from_paths(
                 to_position(samples.joint.double()).cpu().numpy(),
@@ -88,6 +93,7 @@ def sample_pairs(
                 condition[group],
                 partition,
                 None if direction is None else direction[group],
+                rotations,
             )
         )
         if progress is not None:
@@ -119,22 +125,23 @@ def make_gate(
         provenance: Where the pairs came from; versions and the partition are added.
     """
     nfes, all_taus = sorted(pairs), sorted({float(partition.tau), *map(float, taus)})
+    heads = pairs[nfes[0]].heads
     labels = [[pairs[nfe].at(tau) for tau in all_taus] for nfe in nfes]
     counts = np.stack(
-        [np.stack([joint_table([at[h] for h in HEADS], partition.n_modes) for at in row]) for row in labels]
+        [np.stack([joint_table([at[head] for head in heads], partition.n_modes) for at in row]) for row in labels]
     )
-    by_head = {head: np.stack([np.stack([at[head] for at in row]) for row in labels]) for head in HEADS}
+    by_head = {head: np.stack([np.stack([at[head] for at in row]) for row in labels]) for head in heads}
     strata = {
         component: residual_strata(
             np.stack([np.stack([pairs[nfe].residuals[component]] * len(all_taus)) for nfe in nfes]),
             by_head["joint"],
-            by_head["position"],
-            unit="mm",
+            by_head.get(ROTATION, by_head["position"]) if component == ROTATION else by_head["position"],
+            unit="deg" if component == ROTATION else "mm",
         )
         for component in pairs[nfes[0]].residuals
     }
     return Gate(
-        heads=HEADS,
+        heads=heads,
         n_modes=partition.n_modes,
         taus=all_taus,
         nfes=nfes,

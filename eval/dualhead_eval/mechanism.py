@@ -33,7 +33,8 @@ class Mechanism:
         latent_dim: Dimension of the latent; 0 is the anchor.
         kl_weight: KL weight of the posterior.
         reference: Whether the run is the exact (or moment-matched) reference rather than a trained policy.
-        standard: False if the setting (priors, spacing, spread, coupling of tokens) is not the paper's.
+        standard: False if the setting (priors, spacing, spread, coupling of tokens, a third head) is not that of the
+            paper's main tables.
     """
 
     environment: str
@@ -113,6 +114,8 @@ def mechanism_of(gate: Gate) -> Mechanism:
     balanced = probabilities is None or abs(probabilities - 1 / gate.n_modes).max() < 1e-9
     standard = balanced and coupling.get("share_token", True) and dataset.get("mode_angles") is None
     standard = standard and dataset.get("path_spread", 0.08) == 0.08
+    # The third head's runs (tab:pose) are no rows of tab:v3.
+    standard = standard and not settings.get("rotation_head", False)
     return Mechanism(
         environment=ENVIRONMENTS.get(str(gate.partition.get("name")), ""),
         n_modes=gate.n_modes,

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.closed_loop import render_closed_loop
     from dualhead_eval.report import explanation, render_table, report_json, report_rows
     from dualhead_eval.report_inputs import read_inputs
-    from dualhead_eval.report_tables import render_families
+    from dualhead_eval.report_tables import render_all_heads, render_families
 
     console = Console()
     if not console.is_terminal:
@@ -95,9 +95,9 @@ def run(args: argparse.Namespace) -> int:
         return 0
     rows = report_rows(gates, tau=args.tau, nfe=args.nfe)
     console.print(render_table(rows, explain=False))
-    families = render_families(gates, rows)
-    if families is not None:
-        console.print(families)
+    for table in (render_families(gates, rows), render_all_heads(gates)):
+        if table is not None:
+            console.print(table)
     console.print(explanation())
     if args.json is not None:
         write_text(args.json, json.dumps(report_json(rows), indent=2, allow_nan=False) + "\n")

@@ -11,8 +11,10 @@ from rich.table import Table
 from dualhead_eval.claims import grade_claims
 from dualhead_eval.families import family_rows
 from dualhead_eval.gate import Gate
+from dualhead_eval.head_agreement import all_heads_agreement
 from dualhead_eval.paper_numbers import compare_with_paper
 from dualhead_eval.report import RHO, Row
+from dualhead_eval.residual_strata import summarise_strata
 
 
 def render_comparisons(gates: Sequence[Gate], rows: Sequence[Row]) -> Table | str:
@@ -47,6 +49,29 @@ def render_claims(gates: Sequence[Gate]) -> Group:
     for grade in grade_claims(gates):
         table.add_row(grade.claim, grade.grade, grade.evidence)
     return Group(table)
+
+
+def render_all_heads(gates: Sequence[Gate]) -> Table | None:
+    """Runs with a third head: do all heads choose one mode, and how far apart are they? None without such a run."""
+    chosen = [gate for gate in gates if len(gate.heads) > 2]
+    if not chosen:
+        return None
+    table = Table(title="All heads at once", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("run", overflow="fold", min_width=12)
+    table.add_column("heads", overflow="fold")
+    for name in ("all valid", "in one mode", "by chance", "residuals (means)"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for gate in chosen:
+        agreement = all_heads_agreement(gate)
+        low, high = agreement.interval.low, agreement.interval.high
+        means = [
+            f"{summarise_strata(strata.at(gate.index())).mean:.2f} {strata.unit}"
+            for component, strata in gate.strata.items()
+            if "/" not in component
+        ]
+        shares = [f"{agreement.valid_rate:.3f}", f"{agreement.rate:.3f} [{low:.3f},{high:.3f}]"]
+        table.add_row(gate.label, ", ".join(gate.heads), *shares, f"{agreement.chance:.3f}", ", ".join(means))
+    return table
 
 
 def render_families(gates: Sequence[Gate], rows: Sequence[Row]) -> Table | None:
