@@ -84,6 +84,8 @@ def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
     """
     path = Path(path)
     file = path / "meta" / "dualhead.json" if path.is_dir() else path
+    if not file.is_file():
+        raise FileNotFoundError(f"{file} does not exist: give what `dualhead evaluate --record` wrote")
     try:
         sidecar = json.loads(file.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:

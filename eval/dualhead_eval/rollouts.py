@@ -16,14 +16,17 @@ of its own when the predictions are counted.
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
+from filelock import FileLock, Timeout
 
 from dualhead_envs.dataset_frames import read_columns
 from dualhead_eval.certificate_wrapper import CERTIFICATE_FEATURES, CertificateWrapper, certificate_columns
@@ -75,6 +78,7 @@ def record_rollouts(
 
     Raises:
         FileExistsError: If ``root`` exists.
+        BlockingIOError: If another process records into ``root``.
         ValueError: If ``samples`` or ``episodes`` is below 1, or the policy has another layout.
     """
     root = Path(root)
@@ -101,47 +105,76 @@ def record_rollouts(
     features["prediction.decision"] = {"dtype": "bool", "shape": (1,), "names": None}
     features["next.reward"] = {"dtype": "float32", "shape": (1,), "names": None}
     features["next.success"] = {"dtype": "bool", "shape": (1,), "names": None}
-    dataset = _create_dataset(root, layout.fps, features)
-    decisions = _Decisions(policy, preprocess, samples, layout.name)
-    watched = CertificateWrapper(env, decisions, decision_interval=policy.config.n_action_steps or 1)
-    outcomes = []
-    for episode in range(episodes):
-        outcomes.append(_roll_out(watched, decisions, dataset, executed, seed + episode))
-        dataset.save_episode()
-        if progress is not None:
-            progress(1)
-    dataset.finalize()
-    sidecar = {
-        "format": ROLLOUTS_FORMAT,
-        "env_id": env_id,
-        "env_kwargs": env_kwargs,
-        "layout": layout.name,
-        "horizon": horizon,
-        "samples": samples,
-        "num_inference_steps": policy.config.num_inference_steps,
-        "seed": seed,
-        "partition": env.unwrapped.mode_partition.to_dict(),  # type: ignore[attr-defined]
-        "outcomes": outcomes,
-        "policy": dict(provenance or {}),
-    }
-    staging = Path(dataset.root)
-    (staging / "meta" / "dualhead.json").write_text(json.dumps(sidecar, indent=2))
+    with _claimed(root) as staging:
+        dataset = _create_dataset(staging, root.name, layout.fps, features)
+        decisions = _Decisions(policy, preprocess, samples, layout.name)
+        watched = CertificateWrapper(env, decisions, decision_interval=policy.config.n_action_steps or 1)
+        outcomes = []
+        for episode in range(episodes):
+            outcomes.append(_roll_out(watched, decisions, dataset, executed, seed + episode))
+            dataset.save_episode()
+            if progress is not None:
+                progress(1)
+        dataset.finalize()
+        sidecar = {
+            "format": ROLLOUTS_FORMAT,
+            "env_id": env_id,
+            "env_kwargs": env_kwargs,
+            "layout": layout.name,
+            "horizon": horizon,
+            "samples": samples,
+            "num_inference_steps": policy.config.num_inference_steps,
+            "seed": seed,
+            "partition": env.unwrapped.mode_partition.to_dict(),  # type: ignore[attr-defined]
+            "outcomes": outcomes,
+            "policy": dict(provenance or {}),
+        }
+        (staging / "meta" / "dualhead.json").write_text(json.dumps(sidecar, indent=2))
+        _publish(staging, root)
+        env.close()
+        loop = closed_loop_of(sidecar)
+        assert loop is not None
+        return loop, watched.certificate.verdict
+
+
+@contextlib.contextmanager
+def _claimed(root: Path) -> Iterator[Path]:
+    """A staging folder beside ``root``, emptied of what a killed recording left, for this process alone.
+
+    Raises:
+        BlockingIOError: If another process records into ``root``.
+    """
+    root.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(root.with_name(f".{root.name}.lock"), timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise BlockingIOError(
+            f"another process records rollouts into {root}: wait, or choose another folder"
+        ) from error
+    try:
+        staging = root.with_name(f".{root.name}.partial")
+        shutil.rmtree(staging, ignore_errors=True)
+        yield staging
+        shutil.rmtree(staging, ignore_errors=True)
+    finally:
+        Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()
+
+
+def _publish(staging: Path, root: Path) -> None:
+    if root.exists():
+        raise FileExistsError(
+            f"{root} was filled in the meantime: choose another folder; this recording is in {staging}"
+        )
     staging.rename(root)
-    env.close()
-    loop = closed_loop_of(sidecar)
-    assert loop is not None
-    return loop, watched.certificate.verdict
 
 
-def _create_dataset(root: Path, fps: int, features: dict[str, dict]) -> Any:
-    import shutil
-
+def _create_dataset(staging: Path, name: str, fps: int, features: dict[str, dict]) -> Any:
     from lerobot.datasets import LeRobotDataset
 
-    staging = root.with_name(f".{root.name}.partial")
-    shutil.rmtree(staging, ignore_errors=True)
     return LeRobotDataset.create(
-        f"local/{root.name}", fps=fps, features=features, root=staging, use_videos=False, video_backend="pyav"
+        f"local/{name}", fps=fps, features=features, root=staging, use_videos=False, video_backend="pyav"
     )
 
 

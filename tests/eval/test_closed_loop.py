@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -45,7 +47,26 @@ def test_a_copy_of_the_outcomes_is_reported_like_the_rollouts(tmp_path, capsys):
     assert "oracle, 50000 steps" in shown
 
 
+def test_two_processes_do_not_record_into_one_folder(trained, ring_data, tmp_path, capsys):
+    target = tmp_path / "rollouts"
+    left_by_a_kill = tmp_path / ".rollouts.partial"
+    left_by_a_kill.mkdir()
+    arguments = ["evaluate", "--policy", str(trained), "--dataset", str(ring_data / "test"), "--record", str(target)]
+    arguments += ["--episodes", "1", "--output", str(tmp_path / "loop.gate.json")]
+    hold = "import filelock, sys\nfilelock.FileLock(sys.argv[1]).acquire()\nprint(flush=True)\nsys.stdin.read()"
+    command = [sys.executable, "-c", hold, str(tmp_path / ".rollouts.lock")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        other.stdout.readline()
+        assert main(arguments) == 2
+        other.stdin.close()
+    assert "another process records rollouts" in capsys.readouterr().err
+    assert main(arguments) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"rollouts", "loop.gate.json"}
+
+
 def test_what_is_no_outcome_is_refused(tmp_path, capsys):
+    assert main(["report", str(tmp_path / "gone.rollouts.json")]) == 2
+    assert "does not exist" in capsys.readouterr().err
     for name, text in {"cut": '{"format": ', "foreign": '{"format": "x/1"}', "list": "[]"}.items():
         path = tmp_path / f"{name}.rollouts.json"
         path.write_text(text)
