@@ -18,7 +18,8 @@ COMMANDS = {
     "report": ("dualhead_eval.report_command", "turn gate files into tables, figures and verdicts"),
     "demo": ("dualhead_eval.demo_command", "the whole line in minutes: record, train, evaluate, report"),
 }
-USER_ERRORS = (ValueError, KeyError, FileNotFoundError, FileExistsError, NotADirectoryError, PermissionError)
+# OSError: what is missing, occupied, locked by another process or full.
+USER_ERRORS = (ValueError, KeyError, OSError)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -41,6 +42,10 @@ def run_command(module_name: str, prog: str, arguments: list[str]) -> int:
         parser.error(f"unrecognized arguments: {' '.join(remaining)}")
     try:
         return module.run(args, remaining) if passes_on else module.run(args)
+    except BrokenPipeError:
+        # The reader of a pipe has gone (`dualhead report ... | head`): not an error of ours.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except USER_ERRORS as error:
         message = error.args[0] if isinstance(error, KeyError) and error.args else error
         print(f"dualhead: error: {message}", file=sys.stderr)
@@ -48,10 +53,6 @@ def run_command(module_name: str, prog: str, arguments: list[str]) -> int:
     except KeyboardInterrupt:
         print("dualhead: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        # The reader of a pipe has gone (`dualhead report ... | head`): not an error of ours.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
 
 
 def _overview(arguments: list[str]) -> int:

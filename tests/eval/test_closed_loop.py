@@ -53,12 +53,12 @@ def test_two_processes_do_not_record_into_one_folder(trained, ring_data, tmp_pat
     left_by_a_kill.mkdir()
     arguments = ["evaluate", "--policy", str(trained), "--dataset", str(ring_data / "test"), "--record", str(target)]
     arguments += ["--episodes", "1", "--output", str(tmp_path / "loop.gate.json")]
-    hold = "import filelock, sys\nfilelock.FileLock(sys.argv[1]).acquire()\nprint(flush=True)\nsys.stdin.read()"
+    hold = "import filelock, sys\nlock = filelock.FileLock(sys.argv[1])\nlock.acquire()\nprint(flush=True)\ninput()"
     command = [sys.executable, "-c", hold, str(tmp_path / ".rollouts.lock")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         other.stdout.readline()
         assert main(arguments) == 2
-        other.stdin.close()
+        other.stdin.write(b"\n")
     assert "another process records rollouts" in capsys.readouterr().err
     assert main(arguments) == 0
     assert {path.name for path in tmp_path.iterdir()} == {"rollouts", "loop.gate.json"}
