@@ -121,11 +121,11 @@ def _draw_frame(ax: Axes, limit: float, lowest: float) -> None:
     ax.text(0.33 * limit, 0.62 * limit, "no run can be here (Δ > C)", color="0.45", fontsize=8, ha="center")
     ax.annotate(
         r"blue: $\rho = 0$ within 2%",
-        (0.5 * limit, 0),
-        xytext=(0, -9),
+        (0, 0),
+        xytext=(4, -9),
         textcoords="offset points",
         color="tab:blue",
         fontsize=7,
-        ha="center",
+        ha="left",
         va="top",
     )
