@@ -10,11 +10,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dualhead_eval.certificate import CoordinationCertificate
-from dualhead_eval.counts import joint_counts
-from dualhead_eval.effects import coordination
-from dualhead_eval.inference import bootstrap_conditions
-from dualhead_eval.run_statistics import condition_sums
+from dualhead_eval.certificate.certificate import CoordinationCertificate
+from dualhead_eval.effects.contingency import coordination
+from dualhead_eval.effects.counts import joint_counts
+from dualhead_eval.statistics.bootstrap import bootstrap_conditions
+from dualhead_eval.statistics.run_statistics import condition_sums
 
 
 def best(action: Callable[[], object], repeats: int = 5) -> float:

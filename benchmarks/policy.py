@@ -16,9 +16,9 @@ from pathlib import Path
 import torch
 
 from dualhead_envs.bypass.record import record_bypass
-from dualhead_policy.kinematics import position_map
+from dualhead_policy.kinematics.kinematic_map import position_map
+from dualhead_policy.quiet import quiet_libraries
 from dualhead_policy.training.arguments import parse_training_config
-from dualhead_policy.training.quiet import quiet_libraries
 from dualhead_policy.training.trainer import Training
 
 ROBOT_FILE = Path(str(distribution("robosuite").locate_file("robosuite"))) / "models/assets/robots/panda/robot.xml"

@@ -23,7 +23,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from dualhead_policy.training.quiet import quiet_libraries
+from dualhead_policy.quiet import quiet_libraries
 
 WORKERS = (0, 2, 4)
 BATCH = 128

@@ -50,7 +50,7 @@ def check_fields(config: DualheadConfig) -> None:
             "rotation head: set policy.rotation_head=true, or leave the weight at 0"
         )
     if config.kinematic_map is not None and config.kinematic_map.startswith("file:"):
-        from dualhead_policy.robot_file_kinematics import parse_robot_file, robot_file_position
+        from dualhead_policy.kinematics.robot_file import parse_robot_file, robot_file_position
 
         path, _ = parse_robot_file(config.kinematic_map)
         # A trained policy runs without its robot's file: only training and evaluation need the kinematics.

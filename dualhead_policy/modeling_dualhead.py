@@ -15,27 +15,27 @@ from lerobot.policies import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
 from torch import Tensor, nn
 
-from dualhead_policy.action_scale import ActionScale
 from dualhead_policy.checkpoint_loading import load_strictly
-from dualhead_policy.chunk_frame import ChunkFrame
-from dualhead_policy.chunk_sampling import SharedDraws, condition_velocity, sample_chunks
-from dualhead_policy.configuration_defaults import fill_in_defaults, note_origin
 from dualhead_policy.configuration_dualhead import DualheadConfig
-from dualhead_policy.gripper import GripperOutput
-from dualhead_policy.heads import DualheadNetwork
-from dualhead_policy.kinematics import rotation_map
+from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin
+from dualhead_policy.fitting.scales import fit_scales
+from dualhead_policy.fitting.tokens import fit_tokens, make_token_table
+from dualhead_policy.flow.loss import latent_sensitivity, teacher_forced_residuals, training_loss
+from dualhead_policy.flow.solver import SharedDraws, condition_velocity, sample_chunks
+from dualhead_policy.kinematics.kinematic_map import rotation_map
+from dualhead_policy.kinematics.robot_file import FILE_SCHEME, carry_robot_file, use_carried_robot_file
+from dualhead_policy.kinematics.rotation6d import columns_from_matrix
+from dualhead_policy.model.action_scale import ActionScale
+from dualhead_policy.model.chunk_frame import ChunkFrame
+from dualhead_policy.model.gripper import GripperOutput
+from dualhead_policy.model.latent import CODE_DIM, SharedLatent
+from dualhead_policy.model.network import DualheadNetwork
+from dualhead_policy.model.observation_range import ObservationRange
+from dualhead_policy.model.token_prior import TokenPrior
+from dualhead_policy.model.tokens import TokenTable
 from dualhead_policy.model_card import model_card
-from dualhead_policy.observation_range import ObservationRange
 from dualhead_policy.representation import resolve_representation
-from dualhead_policy.robot_file_kinematics import FILE_SCHEME, carry_robot_file, use_carried_robot_file
-from dualhead_policy.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
-from dualhead_policy.scale_fitting import fit_scales
-from dualhead_policy.shared_latent import CODE_DIM, SharedLatent
-from dualhead_policy.token_fitting import fit_tokens, make_token_table
-from dualhead_policy.token_prior import TokenPrior
-from dualhead_policy.tokens import TokenTable
-from dualhead_policy.training_objective import latent_sensitivity, teacher_forced_residuals, training_loss
 
 #: Training steps between two measurements of what is logged beside the loss.
 MEASURE_EVERY = 200
@@ -197,7 +197,7 @@ class DualheadPolicy(PreTrainedPolicy):
     def compute_loss(
         self, observation: Tensor, action: Tensor, token: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The training loss and its parts; see :func:`dualhead_policy.training_objective.training_loss`."""
+        """The training loss and its parts; see :func:`dualhead_policy.flow.loss.training_loss`."""
         return training_loss(self, observation, action, token)
 
     def sensitivity(self, observation: Tensor, action: Tensor) -> dict[str, float]:
@@ -306,7 +306,7 @@ class DualheadPolicy(PreTrainedPolicy):
 
         Returns:
             A function of states (N, H, d), in the coordinates of the source noise, and a time in [0, 1) to velocities
-            (N, H, d), both NumPy arrays, as :func:`dualhead_eval.ensembles.vfd_score` takes it.
+            (N, H, d), both NumPy arrays, as :func:`dualhead_eval.ensembles.scores.vfd_score` takes it.
 
         Raises:
             ValueError: If the policy has no such head, or needs a token or latent that is not given.

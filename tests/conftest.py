@@ -10,7 +10,7 @@ import pytest
 @pytest.fixture(scope="session")
 def ring_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ring recording with the nullspace representation: 256 training paths, 12 conditions a bank."""
-    from dualhead_envs.recording.ring_recorder import record_ring
+    from dualhead_envs.ring.record import record_ring
 
     root = tmp_path_factory.mktemp("data") / "ring"
     return record_ring("RotatingRing-v2", root, episodes=256, conditions=12, env_kwargs={"representation": "nullspace"})

@@ -55,7 +55,7 @@ def modules_after(statement):
     [
         "import dualhead_envs",
         "import gymnasium; gymnasium.make('dualhead_envs:RotatingRing-v4').reset()",
-        "import dualhead_envs.recording.record_command",
+        "import dualhead_envs.record_command",
     ],
 )
 def test_environments_are_light_to_import(statement):

@@ -79,7 +79,7 @@ def _train_one(run: Run, threads: int | None, reports: Any) -> Path:
 
     import torch
 
-    from dualhead_policy.training.quiet import quiet_libraries
+    from dualhead_policy.quiet import quiet_libraries
 
     quiet_libraries()
     if threads is not None:

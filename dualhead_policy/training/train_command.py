@@ -71,8 +71,8 @@ def _train_here(args: argparse.Namespace, remaining: list[str]) -> object:
 
     from tqdm import tqdm
 
+    from dualhead_policy.quiet import quiet_libraries
     from dualhead_policy.training.arguments import parse_training_config
-    from dualhead_policy.training.quiet import quiet_libraries
     from dualhead_policy.training.trainer import Training
 
     quiet_libraries()

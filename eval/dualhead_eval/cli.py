@@ -9,14 +9,14 @@ import sys
 
 #: Subcommand -> (module, one line for the overview).
 COMMANDS = {
-    "record": ("dualhead_envs.recording.record_command", "record scripted demonstrations as LeRobotDatasets"),
+    "record": ("dualhead_envs.record_command", "record scripted demonstrations as LeRobotDatasets"),
     "train": (
         "dualhead_policy.training.train_command",
         "train policies, many times faster than lerobot-train",
     ),
-    "evaluate": ("dualhead_eval.evaluate_command", "sample a policy under test conditions into a gate file"),
-    "report": ("dualhead_eval.report_command", "turn gate files into tables, figures and verdicts"),
-    "demo": ("dualhead_eval.demo_command", "the whole line in minutes: record, train, evaluate, report"),
+    "evaluate": ("dualhead_eval.commands.evaluate", "sample a policy under test conditions into a gate file"),
+    "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
+    "demo": ("dualhead_eval.commands.demo", "the whole line in minutes: record, train, evaluate, report"),
 }
 # OSError: what is missing, occupied, locked by another process or full.
 USER_ERRORS = (ValueError, KeyError, OSError)

@@ -23,7 +23,7 @@ from torch import Tensor
 from dualhead_envs.ring import geometry
 from dualhead_envs.ring.generator import RingGenerator, envelope
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap, RepresentationMap
-from dualhead_policy.flow_matching import coupled_source_noise, integrate_euler
+from dualhead_policy.flow.flow_matching import coupled_source_noise, integrate_euler
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 
 #: Radii at which the moments of the polar representation are estimated; linear interpolation in between.

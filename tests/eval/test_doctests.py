@@ -6,7 +6,9 @@ import importlib
 import pytest
 
 
-@pytest.mark.parametrize("name", ["effects", "counts", "dependence", "certificate"])
+@pytest.mark.parametrize(
+    "name", ["effects.contingency", "effects.counts", "effects.dependence", "certificate.certificate"]
+)
 def test_docstring_examples(name):
     module = importlib.import_module(f"dualhead_eval.{name}")
     result = doctest.testmod(module)

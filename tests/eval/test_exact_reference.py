@@ -10,11 +10,11 @@ from scipy import stats
 from dualhead_envs.ring.generator import RingGenerator, envelope
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS
 from dualhead_envs.ring.partition import RingPartition
-from dualhead_eval.aggregation import summarise_table
-from dualhead_eval.counts import both_valid, joint_counts
-from dualhead_eval.effects import coordination
+from dualhead_eval.effects.contingency import coordination
+from dualhead_eval.effects.counts import both_valid, joint_counts
 from dualhead_eval.exact_reference import ExactReference, _moment_table
-from dualhead_policy.keyed_random import keyed_generator
+from dualhead_eval.statistics.run_summary import summarise_table
+from dualhead_policy.flow.keyed_random import keyed_generator
 from dualhead_policy.sampling import SamplingCoupling
 
 CONDITIONS = RingGenerator(2).draw_conditions(np.random.default_rng(20260802), 75)

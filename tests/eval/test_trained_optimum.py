@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from dualhead_eval.aggregation import summarise_run
 from dualhead_eval.cli import main
-from dualhead_eval.gate import read_gate
+from dualhead_eval.gate.gate import read_gate
+from dualhead_eval.statistics.run_summary import summarise_run
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy import DualheadConfig, SamplingCoupling
-from dualhead_policy.keyed_random import keyed_generator
+from dualhead_policy.flow.keyed_random import keyed_generator
 from dualhead_policy.pretrained import load_policy, policy_folder
 
 
@@ -187,7 +187,7 @@ def test_actions_that_are_not_finite_are_refused(ring_data):
 def test_a_dataset_of_another_layout_is_refused(trained, tmp_path):
     from lerobot.configs import PreTrainedConfig
 
-    from dualhead_envs.recording.ring_recorder import record_ring
+    from dualhead_envs.ring.record import record_ring
 
     other = record_ring(
         "RotatingRing-v2", tmp_path / "polar", episodes=8, conditions=2, env_kwargs={"representation": "polar"}

@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from dualhead_envs.bypass.lift_model import lift_mjcf
 from dualhead_envs.dataset_frames import read_split
-from dualhead_eval.ensembles import vfd_score
+from dualhead_eval.ensembles.scores import vfd_score
 from dualhead_policy import DualheadConfig, DualheadPolicy, SamplingCoupling
-from dualhead_policy.keyed_random import keyed_generator
-from dualhead_policy.panda_kinematics import panda_position, panda_rotation
-from dualhead_policy.rotation6d import columns_from_matrix, matrix_from_columns
+from dualhead_policy.flow.keyed_random import keyed_generator
+from dualhead_policy.flow.loss import draw_noisy_chunks
+from dualhead_policy.kinematics.panda import panda_position, panda_rotation
+from dualhead_policy.kinematics.rotation6d import columns_from_matrix, matrix_from_columns
 from dualhead_policy.training.arguments import parse_training_config
 from dualhead_policy.training.trainer import Training
-from dualhead_policy.training_objective import draw_noisy_chunks
 
 SMALL = {"velocity_width": 16, "encoder_dim": 8, "seed": 0, "device": "cpu"}
 MECHANISMS = {

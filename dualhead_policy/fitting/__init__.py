@@ -1,0 +1,1 @@
+"""What a new policy takes from its training data."""

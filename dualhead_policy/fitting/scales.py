@@ -1,0 +1,69 @@
+"""Fit a policy's action scale, chunk frames and observation range to its training data, when it is built."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dualhead_envs.dataset_frames import read_split
+from dualhead_policy.fitting.configuration import normalized_dimensions
+from dualhead_policy.model.observation_range import ObservationRange
+from dualhead_policy.processor_dualhead import observation_stats
+
+if TYPE_CHECKING:
+    from dualhead_policy.modeling_dualhead import DualheadPolicy
+
+#: Windows used at most, evenly spaced; a covariance of 112 dimensions needs no more.
+MAX_WINDOWS = 60_000
+
+
+def fit_scales(policy: DualheadPolicy, stats: Mapping[str, Mapping[str, Any]] | None, dataset_meta: Any | None) -> None:
+    """Set every scale of a new policy; one without dataset and statistics keeps what will be loaded into it.
+
+    Raises:
+        ValueError: If a dataset comes without statistics, or has no episode as long as a chunk.
+    """
+    if stats is None:
+        if dataset_meta is not None:
+            raise ValueError("the dataset comes without statistics: expected meta/stats.json; record the dataset again")
+        return
+    config = policy.config
+    normalized = normalized_dimensions(config, policy.representation)
+    policy.action_scale.fit(stats, normalized=normalized, std_floor=config.action_std_floor)
+    if policy.observation_range is not None and dataset_meta is not None:
+        _fit_frames(policy, policy.observation_range, stats, dataset_meta.root)
+
+
+def _fit_frames(
+    policy: DualheadPolicy,
+    observation_range: ObservationRange,
+    stats: Mapping[str, Mapping[str, Any]],
+    root: str | Path,
+) -> None:
+    config = policy.config
+    split = read_split(root)
+    starts = split.window_starts(config.chunk_size)
+    if len(starts) == 0:
+        raise ValueError(
+            f"{root} has no episode of {config.chunk_size} actions: record longer episodes or lower policy.chunk_size"
+        )
+    starts = starts[:: -(-len(starts) // MAX_WINDOWS)]
+    moments = observation_stats(config, stats)
+    parts = [
+        _normalised(torch.from_numpy(split.observation[key][starts]), moments[key]) for key in policy.observation_keys
+    ]
+    observation = torch.cat(parts, dim=-1).to(policy.action_scale.shift)
+    observation_range.fit(observation)
+    windows = torch.from_numpy(split.action[starts[:, None] + np.arange(config.chunk_size)])
+    normalised = policy.action_scale.normalize(windows.to(policy.action_scale.shift))
+    for head, part in policy.head_slices.items():
+        policy.frame(head).fit(observation, normalised[..., part].flatten(1), config.observation_noise or 0.0)
+
+
+def _normalised(observation: Tensor, moments: Mapping[str, Tensor]) -> Tensor:
+    return (observation - moments["mean"]) / (moments["std"] + 1e-8)

@@ -1,0 +1,1 @@
+"""Flow matching: noise, loss, diagnostics and the solver."""

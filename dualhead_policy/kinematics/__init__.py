@@ -1,0 +1,1 @@
+"""Forward kinematics: differentiable maps from head A's space to the position."""

@@ -1,0 +1,1 @@
+"""The network and everything else that ``model.safetensors`` holds."""

@@ -1,0 +1,136 @@
+"""A Gymnasium wrapper that runs a coordination certificate beside a rollout.
+
+Every few steps a policy decides: it samples both heads for the current observation. The wrapper labels those
+samples with the environment's own mode partition, feeds the certificate, and writes the cross-head residual
+and the verdict into ``info["coordination"]`` of every reset and step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dualhead_eval.certificate.certificate import CoordinationCertificate
+from dualhead_eval.certificate.reading import VERDICTS
+from dualhead_eval.residuals.distances import position_residual_mm
+
+#: Both heads' samples for one observation, as positions in metres: two arrays ``(n, H, d)``.
+Predictions = tuple[ArrayLike, ArrayLike]
+
+#: Columns that :func:`certificate_columns` adds to a recorded LeRobotDataset.
+CERTIFICATE_FEATURES: dict[str, dict[str, Any]] = {
+    "certificate.residual_mm": {"dtype": "float32", "shape": (1,), "names": None},
+    "certificate.verdict": {"dtype": "int64", "shape": (1,), "names": None},
+    "certificate.delta": {"dtype": "float32", "shape": (1,), "names": None},
+    "certificate.capacity": {"dtype": "float32", "shape": (1,), "names": None},
+}
+
+
+class CertificateWrapper(gym.Wrapper):
+    """Attach a certificate to one environment.
+
+    >>> env = CertificateWrapper(env, predict=lambda observation: sample_both_heads(observation))  # doctest:
+    +SKIP
+
+    ``info["coordination"]`` holds ``verdict``, ``kind``, ``delta``, ``capacity``, ``valid_rate``,
+    ``decisions``, ``decision`` (whether this step made one) and ``residual_mm``, the mean residual of the
+    last decision's pairs.
+
+    Args:
+        env: An environment with ``unwrapped.mode_partition`` and ``environment_state`` observations.
+        predict: Samples of both heads for an observation, as positions in metres ``(n, H, d)``; sample i of
+            one head is paired with sample i of the other, as the policy couples them.
+        certificate: The certificate to feed, shared among environments if wanted; a new one by default.
+        decision_interval: Steps between decisions (the policy's ``n_action_steps``).
+
+    Raises:
+        ValueError: If the environment has no mode partition, or the certificate another number of modes.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env,
+        predict: Callable[[Mapping[str, Any]], Predictions],
+        certificate: CoordinationCertificate | None = None,
+        *,
+        decision_interval: int = 8,
+    ) -> None:
+        super().__init__(env)
+        partition = getattr(env.unwrapped, "mode_partition", None)
+        if partition is None:
+            raise ValueError(
+                f"{env.unwrapped!r} has no mode_partition, expected an environment of dualhead_envs: only "
+                f"these label "
+                "trajectories"
+            )
+        if decision_interval < 1:
+            raise ValueError(f"decision_interval={decision_interval}, expected at least 1 step")
+        self.certificate = certificate or CoordinationCertificate(n_modes=partition.n_modes)
+        if self.certificate.n_modes != partition.n_modes:
+            raise ValueError(
+                f"certificate counts {self.certificate.n_modes} modes and the environment has "
+                f"{partition.n_modes}, "
+                "expected the same: build the certificate with the environment's number"
+            )
+        self._partition = partition
+        self._predict = predict
+        self._interval = decision_interval
+        self._since_decision = 0
+        self._residual = float("nan")
+
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment and make the first decision; the certificate keeps what it has seen."""
+        observation, info = super().reset(**kwargs)
+        self._decide(observation)
+        return observation, info | {"coordination": self._report(decision=True)}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment; decide again when the interval is over and the episode goes on."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        self._since_decision += 1
+        due = self._since_decision >= self._interval and not (terminated or truncated)
+        if due:
+            self._decide(observation)
+        return observation, reward, terminated, truncated, info | {"coordination": self._report(decision=due)}
+
+    def _decide(self, observation: Mapping[str, Any]) -> None:
+        path_a, path_b = (np.asarray(path, dtype=np.float64) for path in self._predict(observation))
+        if path_a.ndim != 3 or path_a.shape != path_b.shape:
+            raise ValueError(
+                f"predictions have shapes {path_a.shape} and {path_b.shape}, expected (n, H, d) positions in metres"
+            )
+        condition = np.asarray(observation["environment_state"], dtype=np.float64)
+        labels = (self._partition.assign(path, condition) for path in (path_a, path_b))
+        self.certificate.update(*(label[None] for label in labels))
+        self._residual = float(position_residual_mm(path_a, path_b).mean())
+        self._since_decision = 0
+
+    def _report(self, *, decision: bool) -> dict[str, Any]:
+        reading = self.certificate.reading
+        return {
+            "verdict": reading.verdict,
+            "kind": reading.kind,
+            "delta": reading.delta,
+            "capacity": reading.capacity,
+            "valid_rate": reading.valid_rate,
+            "decisions": reading.decisions,
+            "decision": decision,
+            "residual_mm": self._residual,
+        }
+
+
+def certificate_columns(info: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """One frame's values of :data:`CERTIFICATE_FEATURES` from ``info["coordination"]``.
+
+    The verdict is stored as its index in :data:`dualhead_eval.certificate.reading.VERDICTS`.
+    """
+    report = info["coordination"]
+    columns = {
+        f"certificate.{key}": np.array([report[key]], dtype=np.float32) for key in ("residual_mm", "delta", "capacity")
+    }
+    columns["certificate.verdict"] = np.array([VERDICTS.index(report["verdict"])])
+    return columns

@@ -1,0 +1,1 @@
+"""The evaluator's subcommands of ``dualhead``."""

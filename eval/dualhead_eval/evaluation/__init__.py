@@ -1,0 +1,1 @@
+"""From samplers and conditions, or recorded rollouts, to gates."""

@@ -1,0 +1,39 @@
+"""Protocol numbers in a policy's own card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dualhead_eval.gate.gate import Gate
+from dualhead_eval.paper.numbers import residual_mm
+from dualhead_eval.report.content import report_rows
+from dualhead_policy.model_card import write_model_card
+from dualhead_policy.pretrained import load_policy, policy_folder
+
+
+def card_numbers(gate: Gate) -> dict[str, float]:
+    """What a card says of an evaluation: the first two heads at the reference threshold and integration steps."""
+    row = next(row for row in report_rows([gate]) if row.first_pair)
+    summary = row.summary
+    numbers = {
+        "conditions": gate.n_conditions,
+        "sample pairs a condition": int(gate.table()[0].sum()),
+        "threshold tau": gate.reference_tau,
+        "Euler steps": gate.reference_nfe,
+        "valid-pair rate": summary.valid_rate,
+        "capacity C": summary.capacity,
+        "effect Delta": summary.delta,
+        "rho = Delta / C": summary.rho,
+    }
+    residual = residual_mm(gate)
+    return numbers if residual is None else numbers | {"cross-head residual (mm)": residual}
+
+
+def write_card_numbers(policy: str | Path, gate: Gate) -> Path:
+    """Write the numbers of ``gate`` into the card of the policy that it evaluated; returns the card's path."""
+    folder = policy_folder(policy)
+    loaded, _ = load_policy(folder)
+    usage = None if loaded.tokens is None else loaded.tokens.marginal.tolist()
+    step = int(loaded.training_step)
+    write_model_card(folder, loaded.config, step=step, token_usage=usage, results=card_numbers(gate))
+    return folder / "README.md"

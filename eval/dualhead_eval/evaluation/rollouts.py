@@ -1,0 +1,116 @@
+"""What became of a policy's episodes when one of its heads drove the robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from scipy.stats import binomtest
+
+from dualhead_eval.statistics.bootstrap import Interval
+
+#: Format of a rollout dataset's ``meta/dualhead.json``.
+ROLLOUTS_FORMAT = "dualhead-rollouts/1"
+#: How the name of a copy of it ends.
+ROLLOUTS_SUFFIX = ".rollouts.json"
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Outcomes of closed-loop episodes from initial states that no demonstration began from.
+
+    Attributes:
+        env_id: Environment.
+        control: What drove: ``"joint"``, ``"position"`` or ``"pose"``.
+        episodes: Episodes rolled out.
+        successes: Episodes that ended in success.
+        collisions: Episodes that ended in a collision.
+    """
+
+    env_id: str
+    control: str
+    episodes: int
+    successes: int
+    collisions: int
+
+    @property
+    def success_rate(self) -> float:
+        """Share of episodes that ended in success."""
+        return self.successes / self.episodes
+
+    @property
+    def success_interval(self) -> Interval:
+        """95% interval of the success rate (Wilson 1927)."""
+        bounds = binomtest(self.successes, self.episodes).proportion_ci(0.95, method="wilson")
+        return Interval(float(bounds.low), float(bounds.high), 0.95)
+
+    def __str__(self) -> str:
+        low, high = self.success_interval.low, self.success_interval.high
+        return (
+            f"{self.control} head driving: success {self.successes} of {self.episodes} = {self.success_rate:.1%} "
+            f"[{low:.1%}, {high:.1%}], collision {self.collisions} of {self.episodes}"
+        )
+
+
+def closed_loop_of(sidecar: Mapping[str, Any]) -> ClosedLoop | None:
+    """The outcomes in the ``meta/dualhead.json`` of recorded rollouts; None if it holds none."""
+    if "outcomes" not in sidecar:
+        return None
+    outcomes = sidecar["outcomes"]
+    return ClosedLoop(
+        env_id=sidecar["env_id"],
+        control=sidecar["env_kwargs"]["control"],
+        episodes=len(outcomes),
+        successes=sum(outcome["success"] for outcome in outcomes),
+        collisions=sum(outcome["collision"] for outcome in outcomes),
+    )
+
+
+def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
+    """Name and outcomes of recorded rollouts.
+
+    Args:
+        path: A rollout dataset's folder, or a copy of its ``meta/dualhead.json`` (``NAME.rollouts.json``), which is
+            small enough to keep.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is of another kind.
+    """
+    path = Path(path)
+    file = path / "meta" / "dualhead.json" if path.is_dir() else path
+    if not file.is_file():
+        raise FileNotFoundError(f"{file} does not exist: give what `dualhead evaluate --record` wrote")
+    try:
+        sidecar = json.loads(file.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file} is not complete JSON ({error}): record the rollouts again") from error
+    known = isinstance(sidecar, dict) and sidecar.get("format") == ROLLOUTS_FORMAT
+    loop = closed_loop_of(sidecar) if known else None
+    if loop is None:
+        raise ValueError(f"{file} holds no outcomes of rollouts: give what `dualhead evaluate --record` wrote")
+    name = path.name.removesuffix(ROLLOUTS_SUFFIX)
+    step = sidecar.get("policy", {}).get("training_step")
+    return (f"{name}, {step} steps" if step else name), loop
+
+
+def render_closed_loop(loops: Sequence[tuple[str, ClosedLoop]]) -> Table:
+    """One line for each of the named outcomes."""
+    title = "Closed loop (in brackets the 95% Wilson interval)"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("run", overflow="fold", min_width=12)
+    table.add_column("environment", no_wrap=True)
+    table.add_column("driving", no_wrap=True)
+    for name in ("episodes", "success", "collision"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for label, loop in loops:
+        bounds = loop.success_interval
+        success = f"{loop.success_rate:.1%} [{100 * bounds.low:.1f},{100 * bounds.high:.1f}]"
+        collision = f"{loop.collisions / loop.episodes:.1%}"
+        table.add_row(label, loop.env_id, loop.control, str(loop.episodes), success, collision)
+    return table

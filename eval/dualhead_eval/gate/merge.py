@@ -1,0 +1,81 @@
+"""Merging gate files: more samples of the same conditions, or more conditions of the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualhead_eval.gate.gate import Gate, gate_digest
+
+
+def merge_gates(gates: Sequence[Gate]) -> Gate:
+    """One gate from several of the same run, as if everything had been evaluated together.
+
+    Conditions with the same pair id and state add their counts; others are appended. Residual strata are
+    dropped where conditions are shared, because a median and a U cannot be added.
+
+    Raises:
+        ValueError: If the gates differ in heads, modes, partition, thresholds, steps or label, or one is
+            given twice.
+    """
+    if not gates:
+        raise ValueError("no gate was given, expected one or more to merge")
+    first = gates[0]
+    for other in gates[1:]:
+        for name in (
+            "heads",
+            "n_modes",
+            "partition",
+            "taus",
+            "nfes",
+            "reference_tau",
+            "reference_nfe",
+            "label",
+        ):
+            mine, theirs = getattr(first, name), getattr(other, name)
+            if mine != theirs:
+                raise ValueError(
+                    f"gates with {name}={mine} and {theirs} given, expected the same: merge like with like"
+                )
+        mine, theirs = first.target_probabilities, other.target_probabilities
+        if (None if mine is None else mine.tolist()) != (None if theirs is None else theirs.tolist()):
+            raise ValueError("gates with different target_probabilities given, expected the same data")
+    digests = [gate_digest(gate) for gate in gates]
+    if len(set(digests)) != len(digests):
+        raise ValueError(
+            "the same gate was given twice, expected different evaluations: its samples would count double"
+        )
+
+    rows: dict[tuple, int] = {}
+    counts: list[NDArray[np.int64]] = []
+    conditions, pair_ids = [], []
+    shared = False
+    for gate in gates:
+        for index in range(gate.n_conditions):
+            key = (int(gate.pair_ids[index]), *gate.conditions[index].tolist())
+            table = gate.counts[:, :, index]
+            if key in rows:
+                counts[rows[key]] = counts[rows[key]] + table
+                shared = True
+                continue
+            rows[key] = len(counts)
+            counts.append(table)
+            conditions.append(gate.conditions[index])
+            pair_ids.append(gate.pair_ids[index])
+    strata = {}
+    if not shared:
+        for name in set.intersection(*(set(gate.strata) for gate in gates)):
+            parts = [gate.strata[name] for gate in gates]
+            fields = ("n", "total", "squares", "median", "u")
+            strata[name] = replace(parts[0], **{f: np.concatenate([getattr(p, f) for p in parts], 2) for f in fields})
+    return replace(
+        first,
+        counts=np.stack(counts, axis=2),
+        conditions=np.array(conditions),
+        pair_ids=np.array(pair_ids),
+        provenance=first.provenance | {"merged_from": digests},
+        strata=strata,
+    )

@@ -1,0 +1,133 @@
+"""Which mechanism a gate file measured, read from its provenance, and the paper's row for it.
+
+The paper names its rows by environment and family (tab:main, tab:v3, tab:maps, tab:toy-corner). A gate whose
+setting the paper did not run, for example a skewed ring prior, has no row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dualhead_eval.gate.gate import Gate
+
+#: Partition name to the paper's environment prefix.
+ENVIRONMENTS = {"ring": "testbed", "bypass-v2": "v2", "rotating-v3": "v3"}
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """What couples the heads of one run.
+
+    Attributes:
+        environment: ``"testbed"``, ``"v2"``, ``"v3"``, or ``""`` for labels from elsewhere.
+        n_modes: Number of modes K.
+        representation: Representation map of head A (``"nullspace"``, ...), empty on the robots.
+        beta: Source-noise coupling, 1 private, 0 shared.
+        token: None, ``"oracle"``, ``"window"`` or ``"episode"``.
+        n_tokens: Number of tokens.
+        learned_draw: Whether tokens are drawn from a learned distribution rather than uniformly.
+        consistency: Endpoint-consistency weight lambda.
+        latent: None, ``"prior"`` or ``"posterior"``.
+        latent_dim: Dimension of the latent; 0 is the anchor.
+        kl_weight: KL weight of the posterior.
+        reference: Whether the run is the exact (or moment-matched) reference rather than a trained policy.
+        standard: False if the setting (priors, spacing, spread, coupling of tokens, a third head) is not that of the
+            paper's main tables.
+    """
+
+    environment: str
+    n_modes: int
+    representation: str
+    beta: float
+    token: str | None
+    n_tokens: int
+    learned_draw: bool
+    consistency: float
+    latent: str | None
+    latent_dim: int
+    kl_weight: float
+    reference: bool
+    standard: bool
+
+    @property
+    def family(self) -> str:
+        """Family in the paper's words, without environment; empty if it has none."""
+        if not self.standard:
+            return ""
+        if self.token is not None:
+            return self._token_family()
+        if self.latent == "posterior":
+            name = f"posterior kl{self.kl_weight:g}"
+            if self.environment != "testbed":
+                return "E posterior all"
+            return name + (" fb0.5" if self.kl_weight == 1 else "")
+        if self.latent == "prior":
+            return "C zs dim0 anchor" if self.latent_dim == 0 else "D continuous zs prior"
+        if self.consistency > 0:
+            if self.environment == "v3":
+                return f"G consistency lambda{self.consistency:g}" if self.beta == 0 else ""
+            name = f"consistency beta{self.beta:g} lambda{self.consistency:g}"
+            letter = {"consistency beta0 lambda0.3": "F ", "consistency beta0 lambda3": "G "}
+            return letter.get(name, "") + name if self.environment == "v2" else name
+        return {1.0: "A independent", 0.0: "B shared source noise"}.get(self.beta, "")
+
+    def _token_family(self) -> str:
+        draw = "learned prior" if self.learned_draw else "uniform"
+        if self.environment == "testbed":
+            return {"oracle": f"oracle token {draw}", "window": "kmeans token"}.get(self.token or "", "")
+        if self.token == "oracle":
+            return "K oracle"
+        if self.token == "episode":
+            return f"I episode token {draw}" if self.learned_draw else "H episode token uniform"
+        if self.n_tokens == 4:
+            return "window token k4"
+        return "Jp window token k2 lambda0.1" if self.consistency > 0 else "J window token k2 uniform"
+
+    @property
+    def paper_row(self) -> str:
+        """The paper's row, for example ``"testbed/kmeans token/polar"``; empty if it has none."""
+        if not self.environment or not self.family:
+            return ""
+        row = f"{self.environment}/{self.family}"
+        if self.environment != "testbed":
+            return row
+        by_map = ("A ", "B ", "D ", "kmeans", "oracle token uniform", "consistency beta0 lambda3")
+        if self.n_modes == 2 and self.family.startswith(by_map):
+            return f"{row}/{self.representation}"
+        return f"{row}/K{self.n_modes}"
+
+
+def mechanism_of(gate: Gate) -> Mechanism:
+    """The mechanism of a gate written by ``dualhead evaluate``; unknown parts take the uncoupled value."""
+    provenance = gate.provenance
+    settings: Mapping[str, Any] = {**provenance, **provenance.get("config", {})}
+    coupling = provenance.get("coupling", {})
+    beta = coupling.get("source_noise_beta")
+    beta = settings.get("source_noise_beta", 1.0) if beta is None else beta
+    dataset = provenance.get("dataset", {}).get("env_kwargs", {})
+    kinematic_map = str(
+        settings.get("kinematic_map") or (settings.get("representation") or {}).get("kinematic_map", "")
+    )
+    probabilities = gate.target_probabilities
+    balanced = probabilities is None or abs(probabilities - 1 / gate.n_modes).max() < 1e-9
+    standard = balanced and coupling.get("share_token", True) and dataset.get("mode_angles") is None
+    standard = standard and dataset.get("path_spread", 0.08) == 0.08
+    # The third head's runs (tab:pose) are no rows of tab:v3.
+    standard = standard and not settings.get("rotation_head", False)
+    return Mechanism(
+        environment=ENVIRONMENTS.get(str(gate.partition.get("name")), ""),
+        n_modes=gate.n_modes,
+        representation=kinematic_map.partition("/")[2],
+        beta=float(beta),
+        token=settings.get("token"),
+        n_tokens=int(settings.get("n_tokens") or gate.n_modes),
+        learned_draw=settings.get("token_draw", "uniform") != "uniform",
+        consistency=float(settings.get("consistency_weight") or 0.0),
+        latent=settings.get("latent"),
+        latent_dim=int(settings.get("latent_dim") or 0),
+        kl_weight=float(settings.get("kl_weight") or 0.0),
+        reference="reference" in str(provenance.get("method", "")),
+        standard=bool(standard),
+    )

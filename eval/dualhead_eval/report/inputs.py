@@ -1,0 +1,81 @@
+"""What ``dualhead report`` was given: gate files, recorded datasets, rollouts, and folders of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, ClosedLoop, read_closed_loop
+from dualhead_eval.gate.gate import Gate, read_gate
+
+#: How a gate file's name ends where folders are searched for them.
+GATE_SUFFIX = ".gate.json"
+
+
+@dataclass
+class ReportInputs:
+    """The inputs of a report, sorted by kind.
+
+    Attributes:
+        gates: Gates in the order given; those of a folder by name.
+        cards: Geometry cards of recorded datasets, by folder.
+        loops: Closed-loop outcomes by name.
+        from_folder: Whether a folder of results was among the inputs.
+    """
+
+    gates: list[Gate] = field(default_factory=list)
+    cards: dict[Path, dict[str, Any]] = field(default_factory=dict)
+    loops: list[tuple[str, ClosedLoop]] = field(default_factory=list)
+    from_folder: bool = False
+
+
+def read_inputs(paths: Iterable[Path]) -> ReportInputs:
+    """Read everything that a report is about.
+
+    Args:
+        paths: Gate files; ``*.rollouts.json`` files; folders of rollouts, of recorded datasets (with their
+            ``card.json``), or of gate and rollout files.
+
+    Raises:
+        FileNotFoundError: If a path does not exist, or a folder holds nothing to report.
+        ValueError: If a file is damaged or of another kind.
+    """
+    inputs = ReportInputs()
+    for path in paths:
+        if not path.is_dir():
+            _read_file(path, inputs)
+        elif (path / "card.json").is_file():
+            inputs.cards[path] = _read_card(path / "card.json")
+        elif (path / "meta" / "dualhead.json").is_file():
+            inputs.loops.append(read_closed_loop(path))
+        else:
+            found = sorted([*path.glob("*" + GATE_SUFFIX), *path.glob("*" + ROLLOUTS_SUFFIX)])
+            if not found:
+                raise FileNotFoundError(
+                    f"{path} holds no *{GATE_SUFFIX}, no *{ROLLOUTS_SUFFIX} and no card.json: give gate files of "
+                    "`dualhead evaluate`, a folder of them, or a dataset of `dualhead record`"
+                )
+            inputs.from_folder = True
+            for file in found:
+                _read_file(file, inputs)
+    return inputs
+
+
+def _read_file(path: Path, inputs: ReportInputs) -> None:
+    if path.name.endswith(ROLLOUTS_SUFFIX):
+        inputs.loops.append(read_closed_loop(path))
+    else:
+        inputs.gates.append(read_gate(path))
+
+
+def _read_card(path: Path) -> dict[str, Any]:
+    try:
+        card = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not complete JSON ({error}): record the dataset again") from error
+    if not isinstance(card, dict):
+        raise ValueError(f"{path} holds a {type(card).__name__}, expected a JSON object: record the dataset again")
+    return card

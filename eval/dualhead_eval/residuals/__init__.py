@@ -1,0 +1,1 @@
+"""Distances between the heads' chunks, and their split by mode."""

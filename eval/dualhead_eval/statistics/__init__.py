@@ -1,0 +1,1 @@
+"""Intervals, tests, and the summaries of runs and families that carry them."""

@@ -1,0 +1,1 @@
+"""Studies: what is recorded, trained, evaluated and told, as plans."""

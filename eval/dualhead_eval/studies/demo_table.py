@@ -1,0 +1,73 @@
+"""The demo's table: one line per coupling, beside the exact reference, with what each line means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from dualhead_eval.gate.gate import Gate
+from dualhead_eval.report.content import RHO, Row, report_rows
+from dualhead_eval.studies.plan import PlannedRow
+
+Result = tuple[PlannedRow, Gate, Gate | None]
+
+COLUMNS = (
+    (
+        "valid",
+        "share of sampled pairs in which both heads reach a mode (a ring row below 0.95 is not readable)",
+    ),
+    ("C", "how much the heads could coordinate given how varied each is; 0.5 is everything with two modes"),
+    ("Δ", "how much more often than chance they choose the same mode; negative: less often"),
+    (RHO, "Δ / C, with its 95% interval over the test conditions: 0 independent, 1 always together"),
+    (f"exact {RHO}", "the same for the best possible network, in closed form; ≈ marks an approximation"),
+)
+
+
+def story_table(results: Sequence[Result]) -> Group:
+    """The table and its legend."""
+    table = Table(title="One motion, two heads: do they choose the same way?", title_justify="left", pad_edge=False)
+    table.add_column("what the heads share", min_width=15)
+    known = any(reference is not None for _, _, reference in results)
+    for name in ("valid", "C", "Δ", f"{RHO} [95% interval]", *([f"exact {RHO}"] if known else [])):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("what it shows", min_width=30, overflow="fold")
+    for row, trained, reference in results:
+        line = report_rows([trained])[0]
+        exact = [_exact(reference)] if known else []
+        table.add_row(row.title, *_numbers(line), *exact, _story(row, line), end_section=True)
+    legend = Table.grid(padding=(0, 2))
+    legend.add_column(no_wrap=True, style="bold")
+    legend.add_column()
+    for name, meaning in COLUMNS if known else COLUMNS[:-1]:
+        legend.add_row(name, meaning)
+    return Group(table, legend)
+
+
+def _numbers(line: Row) -> list[str]:
+    summary = line.summary
+    interval = summary.intervals["rho"]
+    rho = "undefined"
+    if summary.rho == summary.rho:
+        rho = f"{summary.rho:+.1%} [{interval.low:+.1%}, {interval.high:+.1%}]"
+    return [f"{summary.valid_rate:.3f}", f"{summary.capacity:.3f}", f"{summary.delta:+.3f}", rho]
+
+
+def _exact(reference: Gate | None) -> str:
+    if reference is None:
+        return "none"
+    rho = report_rows([reference])[0].summary.rho
+    mark = "≈ " if "approximate" in reference.provenance["method"] else ""
+    return f"{mark}{rho:+.1%}"
+
+
+def _story(row: PlannedRow, line: Row) -> Text:
+    if line.readable:
+        return Text(row.story)
+    return Text(
+        f"Not yet readable: only {line.summary.valid_rate:.0%} of pairs are valid, so train longer "
+        "(--preset full) before reading this row.",
+        style="bold yellow",
+    )
