@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 
 from dualhead_envs.bypass.record import record_bypass
-from dualhead_policy.kinematics.kinematic_map import position_map
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.quiet import quiet_libraries
 from dualhead_policy.training.arguments import parse_training_config
 from dualhead_policy.training.trainer import Training
@@ -39,7 +39,10 @@ def alternate(actions: Mapping[str, Callable[[], object]], rounds: int) -> dict[
 def kinematics() -> None:
     """Print the time of forward and backward kinematics, ours and pytorch-kinematics'."""
     joints = torch.rand(POSES, 7, generator=torch.Generator().manual_seed(0)).requires_grad_()
-    maps = {"built in": position_map("panda"), "pytorch-kinematics": position_map(f"file:{ROBOT_FILE}#right_hand")}
+    maps = {
+        "built in": KinematicMap("panda").position,
+        "pytorch-kinematics": KinematicMap(f"file:{ROBOT_FILE}#right_hand").position,
+    }
 
     def differentiate(name: str) -> Callable[[], object]:
         return lambda: maps[name](joints).square().sum().backward()

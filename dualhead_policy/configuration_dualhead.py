@@ -9,7 +9,8 @@ from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
 from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig, LRSchedulerConfig
 
-from dualhead_policy.configuration_checks import check_fields
+from dualhead_policy.configuration_checks import check_values
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.representation import RepresentationLayout
 
 
@@ -143,7 +144,8 @@ class DualheadConfig(PreTrainedConfig):
             accelerator = torch.accelerator.current_accelerator(check_available=True)
             self.device = accelerator.type if accelerator is not None else "cpu"
         super().__post_init__()
-        check_fields(self)
+        check_values(vars(self))
+        _check_together(self)
 
     @property
     def observation_delta_indices(self) -> None:
@@ -190,3 +192,78 @@ class DualheadConfig(PreTrainedConfig):
             )
         if self.action_feature is None:
             raise ValueError("the policy has no output: expected the feature 'action' with the dual action vector")
+
+
+def _check_together(config: DualheadConfig) -> None:
+    """Refuse fields that contradict each other.
+
+    Raises:
+        ValueError: In one sentence that names the fields, what they hold and what to do.
+    """
+    if config.n_action_steps is not None and not 1 <= config.n_action_steps <= config.chunk_size:
+        raise ValueError(
+            f"policy.n_action_steps={config.n_action_steps} must lie in 1..chunk_size={config.chunk_size}: "
+            "a policy cannot execute more actions than it predicts"
+        )
+    if config.padded_steps is not None and not 0 <= config.padded_steps < config.chunk_size:
+        raise ValueError(
+            f"policy.padded_steps={config.padded_steps} must lie in 0..chunk_size-1={config.chunk_size - 1}: a window "
+            "has at least one recorded action"
+        )
+    _check_tokens(config)
+    _check_latent(config)
+    if config.rotation_consistency_weight > 0 and not config.rotation_head:
+        raise ValueError(
+            f"policy.rotation_consistency_weight={config.rotation_consistency_weight} compares the joint head with a "
+            "rotation head: set policy.rotation_head=true, or leave the weight at 0"
+        )
+    if config.kinematic_map is not None:
+        KinematicMap(config.kinematic_map)
+    if config.normalization_mapping.get("ACTION") != NormalizationMode.IDENTITY:
+        raise ValueError(
+            "policy.normalization_mapping must leave ACTION as IDENTITY: the action scale lives inside the "
+            "policy; set policy.normalize_actions instead"
+        )
+
+
+def _check_tokens(config: DualheadConfig) -> None:
+    if config.token_positions != "absolute" and config.token != "window":
+        raise ValueError(
+            f"policy.token_positions={config.token_positions!r} belongs to policy.token='window', not to "
+            f"{config.token!r}: leave it out"
+        )
+    if config.token is None:
+        given = {name: getattr(config, name) for name in ("token_replacement_prob", "token_null_prob")}
+        given = {name: value for name, value in given.items() if value > 0}
+        if config.n_tokens is not None:
+            given["n_tokens"] = config.n_tokens
+        if config.token_draw == "learned":
+            given["token_draw"] = config.token_draw
+        for name, value in given.items():
+            raise ValueError(
+                f"policy.{name}={value} needs a token: set policy.token to 'oracle', 'episode' or 'window', or leave "
+                f"{name} out"
+            )
+        return
+    if config.n_tokens is not None and config.n_tokens < 2:
+        raise ValueError(f"policy.n_tokens={config.n_tokens} cannot coordinate anything: give at least 2")
+    if config.token_replacement_prob + config.token_null_prob > 1:
+        raise ValueError(
+            f"policy.token_replacement_prob={config.token_replacement_prob} and "
+            f"policy.token_null_prob={config.token_null_prob} add up to more than 1: lower one of them"
+        )
+
+
+def _check_latent(config: DualheadConfig) -> None:
+    if config.latent is not None and config.token is not None:
+        raise ValueError(
+            f"policy.latent={config.latent!r} and policy.token={config.token!r} are two shared variables: choose one "
+            "of them"
+        )
+    if config.latent == "posterior" and config.latent_dim == 0:
+        raise ValueError("policy.latent='posterior' needs something to infer: set policy.latent_dim, for example to 16")
+    if config.latent != "posterior" and config.free_bits > 0:
+        raise ValueError(
+            f"policy.free_bits={config.free_bits} belongs to policy.latent='posterior', not to {config.latent!r}: "
+            "leave it at 0"
+        )

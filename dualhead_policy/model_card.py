@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from dualhead_policy.configuration_dualhead import DualheadConfig
 
@@ -124,19 +123,6 @@ def model_card(
     return "\n".join(lines)
 
 
-def write_model_card(
-    folder: Path,
-    config: DualheadConfig,
-    *,
-    step: int,
-    token_usage: list[float] | None,
-    results: Mapping[str, float] | None = None,
-) -> None:
-    """Write ``README.md`` into a checkpoint's folder; see :func:`model_card`."""
-    text = model_card(config, step=step, token_usage=token_usage, results=results)
-    (folder / "README.md").write_text(text, encoding="utf-8")
-
-
 def _evaluation_command(config: DualheadConfig) -> list[str]:
     family, _, number = (config.environment or "").partition("-v")
     env_type = ENV_TYPES.get(family)
@@ -144,6 +130,6 @@ def _evaluation_command(config: DualheadConfig) -> list[str]:
         return []
     options = ["--policy.path=path/to/this/folder", f"--env.type={env_type}"]
     layout = config.representation
-    if layout is not None and layout.kinematic_map.startswith("ring/"):
-        options += [f"--env.n_modes={number}", f"--env.representation={layout.kinematic_map.removeprefix('ring/')}"]
+    if layout is not None and layout.ring_map is not None:
+        options += [f"--env.n_modes={number}", f"--env.representation={layout.ring_map}"]
     return [" ".join(["lerobot-eval", *options, "--env.control=position", "--policy.device=cpu"])]

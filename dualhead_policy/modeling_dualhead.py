@@ -1,4 +1,4 @@
-"""The dual-head flow-matching policy as LeRobot knows it (``--policy.type=dualhead``)."""
+"""The dual-head flow-matching policy as LeRobot knows it (``--policy.type=dualhead``): a shell around its model."""
 
 from __future__ import annotations
 
@@ -13,28 +13,23 @@ from huggingface_hub import ModelCard
 from lerobot.configs import FeatureType
 from lerobot.policies import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
-from torch import Tensor, nn
+from torch import Tensor
 
 from dualhead_policy.checkpoint_loading import load_strictly
 from dualhead_policy.configuration_dualhead import DualheadConfig
-from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin
+from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin, resolve_representation
 from dualhead_policy.fitting.scales import fit_scales
 from dualhead_policy.fitting.tokens import fit_tokens, make_token_table
-from dualhead_policy.flow.loss import latent_sensitivity, teacher_forced_residuals, training_loss
-from dualhead_policy.flow.solver import SharedDraws, condition_velocity, sample_chunks
-from dualhead_policy.kinematics.kinematic_map import rotation_map
-from dualhead_policy.kinematics.robot_file import FILE_SCHEME, carry_robot_file, use_carried_robot_file
+from dualhead_policy.flow.coupling import SharedDraws
+from dualhead_policy.flow.diagnostics import latent_sensitivity, teacher_forced_residuals
+from dualhead_policy.flow.draws import draw_step
+from dualhead_policy.flow.loss import training_loss
+from dualhead_policy.flow.solver import condition_velocity, sample_chunks
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix
-from dualhead_policy.model.action_scale import ActionScale
-from dualhead_policy.model.chunk_frame import ChunkFrame
-from dualhead_policy.model.gripper import GripperOutput
-from dualhead_policy.model.latent import CODE_DIM, SharedLatent
-from dualhead_policy.model.network import DualheadNetwork
-from dualhead_policy.model.observation_range import ObservationRange
-from dualhead_policy.model.token_prior import TokenPrior
+from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.model.tokens import TokenTable
 from dualhead_policy.model_card import model_card
-from dualhead_policy.representation import resolve_representation
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 
 #: Training steps between two measurements of what is logged beside the loss.
@@ -67,6 +62,7 @@ class DualheadPolicy(PreTrainedPolicy):
     ):
         super().__init__(config)
         config.validate_features()
+        is_new = config.representation is None
         self.representation = resolve_representation(config, dataset_meta)
         fill_in_defaults(config, self.representation)
         if dataset_meta is not None:
@@ -77,50 +73,25 @@ class DualheadPolicy(PreTrainedPolicy):
             if feature.type in (FeatureType.STATE, FeatureType.ENV)
         ]
         observation_dim = sum(config.input_features[key].shape[0] for key in self.observation_keys)
-        slices = self.representation.slices
-        heads = ("joint", "position", "rotation") if config.rotation_head else ("joint", "position")
-        self.head_slices = {head: slices[head] for head in heads}
-        self.head_dims = {head: part.stop - part.start for head, part in self.head_slices.items()}
-        chunk_dims = {head: config.chunk_size * dim for head, dim in self.head_dims.items()}
         self.register_buffer("training_step", torch.zeros((), dtype=torch.int64))
-        self.action_scale = ActionScale(len(self.representation.names))
-        framed = config.preconditioning == "linear_gaussian"
-        self.frames = nn.ModuleDict({h: ChunkFrame(observation_dim, n) for h, n in chunk_dims.items() if framed})
-        self.observation_range = ObservationRange(observation_dim) if framed else None
-        fit_scales(self, dataset_stats, dataset_meta)
         self._transport: Tensor | None = None
-        self.tokens = self._make_tokens(dataset_meta)
-        self.network = DualheadNetwork(
-            observation_dim,
-            self.head_dims,
-            chunk_size=config.chunk_size,
-            token_dim=self.tokens.n_tokens if self.tokens else CODE_DIM if config.latent else 0,
-            encoder_dim=config.encoder_dim,
-            width=config.velocity_width,
-            n_layers=config.velocity_layers,
-            n_frequencies=config.time_frequencies,
-            conditioning=config.conditioning,
-            preconditioned=config.preconditioning != "none",
-        )
-        inferred = sum(chunk_dims.values()) + config.encoder_dim if config.latent == "posterior" else 0
-        self.shared_latent = SharedLatent(config.latent_dim, inferred) if config.latent else None
-        self.token_prior: TokenPrior | None = None
-        if self.tokens is not None and config.token_draw == "learned":
-            self.token_prior = TokenPrior(config.encoder_dim, self.tokens.n_tokens)
-        self.gripper = GripperOutput(observation_dim, config.chunk_size) if self.representation.gripper else None
+        self.model = DualheadModel(config, self.representation, observation_dim, self._make_tokens(dataset_meta))
+        if is_new:
+            self.model.kinematics.require()
+        fit_scales(self.model, self.observation_keys, dataset_stats, dataset_meta)
         self.reset()
 
     # --- construction and loading ------------------------------------------------------------------------
 
     def _make_tokens(self, dataset_meta: Any | None) -> TokenTable | None:
-        config = self.config
+        config, position = self.config, self.representation.slices["position"]
         if config.token is None:
             return None
         if dataset_meta is None:
             if config.n_tokens is None:
                 raise ValueError("policy.n_tokens is missing from the configuration: give the number of tokens")
-            return make_token_table(config, self.head_dims["position"])
-        fitted = fit_tokens(config, dataset_meta.root, self.head_slices["position"])
+            return make_token_table(config, position.stop - position.start)
+        fitted = fit_tokens(config, dataset_meta.root, position)
         self._transport = fitted.transport
         if fitted.episode_token is not None:
             # Needed in training only: rebuilt from the dataset, not part of the checkpoint.
@@ -130,33 +101,40 @@ class DualheadPolicy(PreTrainedPolicy):
     @classmethod
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
         # LeRobot asks for a lenient load; a policy with tensors missing would run and be wrong.
-        scales = nn.ModuleDict({"action_scale": model.action_scale, "frames": model.frames})
-        if model.observation_range is not None:
-            scales["observation_range"] = model.observation_range
+        policy: DualheadPolicy = model
+        scales = policy.model.scales
         fitted = {name: buffer.clone() for name, buffer in scales.named_buffers()}
-        load_strictly(model, model_file, map_location)
-        if model.representation.kinematic_map.startswith(FILE_SCHEME):
-            use_carried_robot_file(model.representation.kinematic_map, Path(model_file).parent)
-        if model.config.statistics == "replace":
+        load_strictly(policy, model_file, map_location)
+        policy.model.kinematics = KinematicMap.load(policy.representation.kinematic_map, Path(model_file).parent)
+        if policy.config.statistics == "replace":
             scales.load_state_dict(fitted)
-        if model._transport is not None:
+        if policy._transport is not None and policy.model.tokens is not None:
             # The numbers of a new clustering mean nothing to this checkpoint's heads: its own centroids decide.
-            model.episode_token = model.tokens.assign(model._transport.to(model.tokens.centroids.device))
-        return model
+            tokens = policy.model.tokens
+            policy.episode_token = tokens.assign(policy._transport.to(tokens.centroids.device))
+        return policy
 
     def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
         super()._save_pretrained(save_directory, state_dict=state_dict)
-        (save_directory / "README.md").write_text(self._card(), encoding="utf-8")
-        if self.representation.kinematic_map.startswith(FILE_SCHEME):
-            carry_robot_file(self.representation.kinematic_map, save_directory)
+        self.model.kinematics.save(save_directory)
+        self.write_card(save_directory)
+
+    def write_card(self, folder: Path, results: Mapping[str, float] | None = None) -> None:
+        """Write the model card, ``README.md``, into this policy's folder.
+
+        Args:
+            folder: The folder.
+            results: Protocol numbers by name, where they are known.
+        """
+        (folder / "README.md").write_text(self._card(results), encoding="utf-8")
 
     def generate_model_card(self, *_: Any, **__: Any) -> ModelCard:
         """LeRobot's generic card says nothing about a plugin: this is the folder's own (``push_to_hub`` asks)."""
         return ModelCard(self._card())
 
-    def _card(self) -> str:
-        usage = None if self.tokens is None else self.tokens.marginal.tolist()
-        return model_card(self.config, step=int(self.training_step), token_usage=usage)
+    def _card(self, results: Mapping[str, float] | None = None) -> str:
+        usage = None if self.model.tokens is None else self.model.tokens.marginal.tolist()
+        return model_card(self.config, step=int(self.training_step), token_usage=usage, results=results)
 
     def get_optim_params(self) -> Any:
         return self.parameters()
@@ -197,19 +175,23 @@ class DualheadPolicy(PreTrainedPolicy):
     def compute_loss(
         self, observation: Tensor, action: Tensor, token: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The training loss and its parts; see :func:`dualhead_policy.flow.loss.training_loss`."""
-        return training_loss(self, observation, action, token)
+        """The loss of the current training step and its parts; see :func:`dualhead_policy.flow.loss.training_loss`."""
+        draws = draw_step(self.model, observation, action, has_tokens=token is not None, **self._draw_key())
+        return training_loss(self.model, observation, action, token, draws)
+
+    def _draw_key(self) -> dict[str, int]:
+        return {"seed": self.config.seed or 0, "step": int(self.training_step)}
 
     def sensitivity(self, observation: Tensor, action: Tensor) -> dict[str, float]:
         """Each head's relative change under a redrawn latent (tab:sensitivity); empty without a latent."""
-        if self.shared_latent is None:
+        if self.model.shared_latent is None:
             return {}
-        return latent_sensitivity(self, observation, action)
+        return latent_sensitivity(self.model, observation, action, **self._draw_key())
 
     def measure(self, observation: Tensor, action: Tensor, token: Tensor | None) -> dict[str, dict[str, float]]:
         """What training logs beside the loss: ``residual`` (teacher-forced) and, with a latent, its sensitivity."""
-        measured = {"residual": teacher_forced_residuals(self, observation, action, token)}
-        if self.shared_latent is not None:
+        measured = {"residual": teacher_forced_residuals(self.model, observation, action, token, **self._draw_key())}
+        if self.model.shared_latent is not None:
             measured["latent_sensitivity"] = self.sensitivity(observation, action)
         return measured
 
@@ -218,42 +200,16 @@ class DualheadPolicy(PreTrainedPolicy):
         self.training_step += 1
 
     def _training_tokens(self, batch: Mapping[str, Tensor]) -> Tensor | None:
-        if self.tokens is None:
+        if self.model.tokens is None:
             return None
         if self.config.token == "window":
-            return self.tokens.assign(batch[ACTION][..., self.head_slices["position"]])
+            return self.model.tokens.assign(batch[ACTION][..., self.model.head_slices["position"]])
         if not hasattr(self, "episode_token"):
             raise ValueError(
                 f"the {self.config.token} token needs the training episodes: build the policy with the dataset's "
                 "metadata (lerobot-train and dualhead train do)"
             )
         return self.episode_token[batch["episode_index"].flatten()]
-
-    # --- the parts that training and sampling share --------------------------------------------------------
-
-    def frame(self, head: str) -> ChunkFrame:
-        """The frame of a head's chunks, for a policy with linear_gaussian preconditioning."""
-        frame = self.frames[head]
-        assert isinstance(frame, ChunkFrame)
-        return frame
-
-    def spread(self, head: str) -> Tensor:
-        """Standard deviations (H * d,) of the data in the coordinates in which the head's field works."""
-        if head in self.frames:
-            return self.frame(head).spread
-        return self.action_scale.spread[self.head_slices[head]].repeat(self.config.chunk_size)
-
-    def head_velocity(self, head: str, x: Tensor, time: Tensor, context: Tensor) -> Tensor:
-        """Velocity (B, H * d) of a head at flattened noisy chunks, times (B,) and contexts (B, ...)."""
-        modulation = self.network.modulation(head, time, context)
-        return self.network.velocity(head, x, time[:, None], modulation, self.spread(head))
-
-    def physical_chunk(self, head: str, value: Tensor, observation: Tensor) -> Tensor:
-        """Chunks (B, ..., H, d) in physical units of flattened clean chunks (B, ..., H * d) in the head's frame."""
-        if head in self.frames:
-            value = self.frame(head).leave(value, observation)
-        chunk = value.unflatten(-1, (self.config.chunk_size, -1))
-        return self.action_scale.unnormalize(chunk, self.head_slices[head])
 
     def _observation(self, batch: Mapping[str, Tensor]) -> Tensor:
         missing = [key for key in self.observation_keys if key not in batch]
@@ -262,7 +218,7 @@ class DualheadPolicy(PreTrainedPolicy):
                 f"the batch lacks {missing}: expected the preprocessed observations {self.observation_keys}"
             )
         observation = torch.cat([batch[key].flatten(1) for key in self.observation_keys], dim=-1)
-        return observation if self.observation_range is None else self.observation_range(observation)
+        return self.model.observed(observation)
 
     # --- sampling ----------------------------------------------------------------------------------------
 
@@ -290,7 +246,7 @@ class DualheadPolicy(PreTrainedPolicy):
         """
         steps = num_steps or self.config.num_inference_steps
         return sample_chunks(
-            self, self._observation(batch), num_samples, steps, coupling or SamplingCoupling(), generator
+            self.model, self._observation(batch), num_samples, steps, coupling or SamplingCoupling(), generator
         )
 
     def velocity_field(
@@ -311,13 +267,13 @@ class DualheadPolicy(PreTrainedPolicy):
         Raises:
             ValueError: If the policy has no such head, or needs a token or latent that is not given.
         """
-        if head not in self.head_dims:
-            raise ValueError(f"the policy has no head {head!r}: choose one of {list(self.head_dims)}")
-        for name, part, given in (("token", self.tokens, token), ("latent", self.shared_latent, latent)):
+        if head not in self.model.head_dims:
+            raise ValueError(f"the policy has no head {head!r}: choose one of {list(self.model.head_dims)}")
+        for name, part, given in (("token", self.model.tokens, token), ("latent", self.model.shared_latent, latent)):
             if (part is None) != (given is None):
                 needs = f"needs a {name} for every row: pass {name}=..." if part is not None else f"has no {name}"
                 raise ValueError(f"the policy {needs}")
-        field = condition_velocity(self, self._observation(batch), head, SharedDraws(token, latent))
+        field = condition_velocity(self.model, self._observation(batch), head, SharedDraws(token, latent))
         dtype = next(self.parameters()).dtype
 
         @torch.no_grad()
@@ -331,16 +287,9 @@ class DualheadPolicy(PreTrainedPolicy):
         self, batch: Mapping[str, Tensor], num_samples: int, generator: torch.Generator | None = None
     ) -> Tensor | None:
         """Tokens (B, num_samples) for preprocessed observations, as ``config.token_draw`` says; None without tokens."""
-        if self.tokens is None:
+        if self.model.tokens is None:
             return None
-        return self.tokens_given(self.network.encoder(self._observation(batch)), num_samples, generator)
-
-    def tokens_given(self, embedding: Tensor, num_samples: int, generator: torch.Generator | None) -> Tensor:
-        """Tokens (B, num_samples) given embeddings E(c) (B, ...)."""
-        assert self.tokens is not None
-        if self.token_prior is not None:
-            return self.token_prior.draw(embedding, num_samples, generator)
-        return self.tokens.draw((len(embedding), num_samples), self.config.token_draw, generator)
+        return self.model.draw_tokens(self.model.embed(self._observation(batch)), num_samples, generator)
 
     # --- closed loop -------------------------------------------------------------------------------------
 
@@ -361,8 +310,9 @@ class DualheadPolicy(PreTrainedPolicy):
         n = len(self._observation(batch))
         if self._episode_token is None or len(self._episode_token) != n or self.config.token == "window":
             self._episode_token = self.draw_tokens(batch, 1)
-        if self.shared_latent is not None and (self._episode_latent is None or len(self._episode_latent) != n):
-            self._episode_latent = self.shared_latent.draw((n, 1), None)
+        latent = self.model.shared_latent
+        if latent is not None and (self._episode_latent is None or len(self._episode_latent) != n):
+            self._episode_latent = latent.draw((n, 1), None)
         coupling = SamplingCoupling(token=self._episode_token, latent=self._episode_latent)
         return self.dual_chunk(self.sample(batch, 1, coupling=coupling))
 
@@ -382,7 +332,7 @@ class DualheadPolicy(PreTrainedPolicy):
     def _held_rotation(self, samples: HeadSamples) -> Tensor:
         first = samples.joint[:, 0, 0]
         if self._episode_rotation is None or len(self._episode_rotation) != len(first):
-            self._episode_rotation = columns_from_matrix(rotation_map(self.representation.kinematic_map)(first))
+            self._episode_rotation = columns_from_matrix(self.model.kinematics.rotation(first))
         return self._episode_rotation[:, None].expand(-1, self.config.chunk_size, -1)
 
     @torch.no_grad()

@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import TYPE_CHECKING, Any
-
-from lerobot.utils.constants import ACTION
-
-if TYPE_CHECKING:
-    from dualhead_policy.configuration_dualhead import DualheadConfig
+from typing import Any
 
 GROUPS = ("joint", "position", "rotation", "gripper")
 
@@ -32,6 +27,12 @@ class RepresentationLayout:
     rotation: list[str] = field(default_factory=list)
     gripper: list[str] = field(default_factory=list)
     kinematic_map: str = ""
+
+    @property
+    def ring_map(self) -> str | None:
+        """Name of the ring's representation map (``"nullspace"``, ...), or None off the ring."""
+        family, _, name = self.kinematic_map.partition("/")
+        return name if family == "ring" else None
 
     @property
     def names(self) -> list[str]:
@@ -106,46 +107,3 @@ def require_observations(expected: Mapping[str, Any], given: Mapping[str, int]) 
                 f"the environment or dataset has {width} dimensions in {key}, the policy was trained on "
                 f"{expected[key].shape[0]}: use the environment that the policy was trained on"
             )
-
-
-def resolve_representation(config: DualheadConfig, dataset_meta: Any | None) -> RepresentationLayout:
-    """The layout of a policy: its configuration's, which is filled in from the dataset where it is new.
-
-    Args:
-        config: The policy's configuration; ``representation`` is set here.
-        dataset_meta: Metadata of the training data, or None.
-
-    Raises:
-        ValueError: If there is neither, or dataset or environment have another layout than the configuration.
-    """
-    if dataset_meta is not None:
-        given = RepresentationLayout.from_names(dataset_meta.features[ACTION].get("names"))
-        given.kinematic_map = config.kinematic_map or given.kinematic_map
-        if config.representation is None:
-            config.representation = given
-        config.representation.require_same(given, owner="the policy", given=f"dataset {dataset_meta.repo_id}")
-    layout = config.representation
-    if layout is None:
-        raise ValueError(
-            "a new dualhead policy needs a dataset to learn its action layout from: give --dataset.repo_id "
-            "and --dataset.root, or load a trained policy with --policy.path"
-        )
-    given_name = getattr(config.action_feature, "layout_name", None)
-    if given_name is not None and given_name != layout.kinematic_map:
-        raise ValueError(
-            f"the environment's layout is {given_name!r}, the policy's is {layout.kinematic_map!r}: evaluate in the "
-            "environment and representation that the policy was trained on"
-        )
-    require_observations(config.input_features or {}, getattr(config.action_feature, "observation_widths", {}))
-    width = config.action_feature.shape[0]
-    if width != len(layout.names):
-        raise ValueError(
-            f"the environment or dataset has {width} action dimensions, the policy's {layout.kinematic_map!r} layout "
-            f"has {len(layout.names)}: use the environment and representation that the policy was trained on"
-        )
-    if config.rotation_head and not layout.rotation:
-        raise ValueError(
-            f"policy.rotation_head=true needs an orientation, but the {layout.kinematic_map!r} layout has none: leave "
-            "it out, or train on a dataset with rotation.* actions"
-        )
-    return layout

@@ -1,4 +1,4 @@
-"""Fields that a configuration leaves open, filled in from the layout when a policy is built."""
+"""Fields that a configuration leaves open, filled in from the training data when a policy is built."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lerobot.utils.constants import ACTION
 
 from dualhead_policy.configuration_dualhead import DualheadConfig
-from dualhead_policy.representation import RepresentationLayout
+from dualhead_policy.representation import RepresentationLayout, require_observations
 
 #: Actions executed of every chunk on robots (receding horizon of 8 of 16).
 ROBOT_ACTION_STEPS = 8
@@ -17,9 +18,52 @@ ROBOT_ACTION_STEPS = 8
 OBSERVATION_NOISE = 0.05
 
 
+def resolve_representation(config: DualheadConfig, dataset_meta: Any | None) -> RepresentationLayout:
+    """The layout of a policy: its configuration's, which is filled in from the dataset where it is new.
+
+    Args:
+        config: The policy's configuration; ``representation`` is set here.
+        dataset_meta: Metadata of the training data, or None.
+
+    Raises:
+        ValueError: If there is neither, or dataset or environment have another layout than the configuration.
+    """
+    if dataset_meta is not None:
+        given = RepresentationLayout.from_names(dataset_meta.features[ACTION].get("names"))
+        given.kinematic_map = config.kinematic_map or given.kinematic_map
+        if config.representation is None:
+            config.representation = given
+        config.representation.require_same(given, owner="the policy", given=f"dataset {dataset_meta.repo_id}")
+    layout = config.representation
+    if layout is None:
+        raise ValueError(
+            "a new dualhead policy needs a dataset to learn its action layout from: give --dataset.repo_id "
+            "and --dataset.root, or load a trained policy with --policy.path"
+        )
+    given_name = getattr(config.action_feature, "layout_name", None)
+    if given_name is not None and given_name != layout.kinematic_map:
+        raise ValueError(
+            f"the environment's layout is {given_name!r}, the policy's is {layout.kinematic_map!r}: evaluate in the "
+            "environment and representation that the policy was trained on"
+        )
+    require_observations(config.input_features or {}, getattr(config.action_feature, "observation_widths", {}))
+    width = config.action_feature.shape[0]
+    if width != len(layout.names):
+        raise ValueError(
+            f"the environment or dataset has {width} action dimensions, the policy's {layout.kinematic_map!r} layout "
+            f"has {len(layout.names)}: use the environment and representation that the policy was trained on"
+        )
+    if config.rotation_head and not layout.rotation:
+        raise ValueError(
+            f"policy.rotation_head=true needs an orientation, but the {layout.kinematic_map!r} layout has none: leave "
+            "it out, or train on a dataset with rotation.* actions"
+        )
+    return layout
+
+
 def fill_in_defaults(config: DualheadConfig, layout: RepresentationLayout) -> None:
     """Set what depends on the layout; on the ring an episode is one chunk, on robots it is many."""
-    on_ring = layout.kinematic_map.startswith("ring/")
+    on_ring = layout.ring_map is not None
     if config.n_action_steps is None:
         config.n_action_steps = config.chunk_size if on_ring else min(ROBOT_ACTION_STEPS, config.chunk_size)
     if config.padded_steps is None:
@@ -47,6 +91,6 @@ def normalized_dimensions(config: DualheadConfig, layout: RepresentationLayout) 
     """
     mode = config.normalize_actions
     if mode == "auto":
-        mode = "identity" if layout.kinematic_map.startswith("ring/") else "mean_std"
+        mode = "identity" if layout.ring_map is not None else "mean_std"
     physical = {*layout.rotation, *layout.gripper}
     return [mode == "mean_std" and name not in physical for name in layout.names]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,18 +12,27 @@ from torch import Tensor
 
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.fitting.configuration import normalized_dimensions
+from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.model.observation_range import ObservationRange
 from dualhead_policy.processor_dualhead import observation_stats
-
-if TYPE_CHECKING:
-    from dualhead_policy.modeling_dualhead import DualheadPolicy
 
 #: Windows used at most, evenly spaced; a covariance of 112 dimensions needs no more.
 MAX_WINDOWS = 60_000
 
 
-def fit_scales(policy: DualheadPolicy, stats: Mapping[str, Mapping[str, Any]] | None, dataset_meta: Any | None) -> None:
+def fit_scales(
+    model: DualheadModel,
+    observation_keys: Sequence[str],
+    stats: Mapping[str, Mapping[str, Any]] | None,
+    dataset_meta: Any | None,
+) -> None:
     """Set every scale of a new policy; one without dataset and statistics keeps what will be loaded into it.
+
+    Args:
+        model: The model, in whose buffers the scales are kept.
+        observation_keys: What the observation is made of, in order.
+        stats: Statistics of the training data.
+        dataset_meta: Metadata of the training data.
 
     Raises:
         ValueError: If a dataset comes without statistics, or has no episode as long as a chunk.
@@ -32,20 +41,21 @@ def fit_scales(policy: DualheadPolicy, stats: Mapping[str, Mapping[str, Any]] | 
         if dataset_meta is not None:
             raise ValueError("the dataset comes without statistics: expected meta/stats.json; record the dataset again")
         return
-    config = policy.config
-    normalized = normalized_dimensions(config, policy.representation)
-    policy.action_scale.fit(stats, normalized=normalized, std_floor=config.action_std_floor)
-    if policy.observation_range is not None and dataset_meta is not None:
-        _fit_frames(policy, policy.observation_range, stats, dataset_meta.root)
+    config = model.config
+    normalized = normalized_dimensions(config, model.layout)
+    model.action_scale.fit(stats, normalized=normalized, std_floor=config.action_std_floor)
+    if model.observation_range is not None and dataset_meta is not None:
+        _fit_frames(model, model.observation_range, observation_keys, stats, dataset_meta.root)
 
 
 def _fit_frames(
-    policy: DualheadPolicy,
+    model: DualheadModel,
     observation_range: ObservationRange,
+    observation_keys: Sequence[str],
     stats: Mapping[str, Mapping[str, Any]],
     root: str | Path,
 ) -> None:
-    config = policy.config
+    config = model.config
     split = read_split(root)
     starts = split.window_starts(config.chunk_size)
     if len(starts) == 0:
@@ -54,15 +64,13 @@ def _fit_frames(
         )
     starts = starts[:: -(-len(starts) // MAX_WINDOWS)]
     moments = observation_stats(config, stats)
-    parts = [
-        _normalised(torch.from_numpy(split.observation[key][starts]), moments[key]) for key in policy.observation_keys
-    ]
-    observation = torch.cat(parts, dim=-1).to(policy.action_scale.shift)
+    parts = [_normalised(torch.from_numpy(split.observation[key][starts]), moments[key]) for key in observation_keys]
+    observation = torch.cat(parts, dim=-1).to(model.action_scale.shift)
     observation_range.fit(observation)
     windows = torch.from_numpy(split.action[starts[:, None] + np.arange(config.chunk_size)])
-    normalised = policy.action_scale.normalize(windows.to(policy.action_scale.shift))
-    for head, part in policy.head_slices.items():
-        policy.frame(head).fit(observation, normalised[..., part].flatten(1), config.observation_noise or 0.0)
+    normalised = model.action_scale.normalize(windows.to(model.action_scale.shift))
+    for head, part in model.head_slices.items():
+        model.frame(head).fit(observation, normalised[..., part].flatten(1), config.observation_noise or 0.0)
 
 
 def _normalised(observation: Tensor, moments: Mapping[str, Tensor]) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from sklearn.cluster import KMeans
@@ -14,6 +16,14 @@ MAX_CLUSTERED_ROWS = 50_000
 K_MEANS_STARTS = 10
 #: Metres; an axis along which nothing moves is not blown up.
 SMALLEST_SCALE = 1e-4
+
+
+@dataclass(frozen=True)
+class TokenCorruption:
+    """Draws that decide which tokens are corrupted: a uniform ``chance`` and a random ``replacement``, each (B,)."""
+
+    chance: Tensor
+    replacement: Tensor
 
 
 class TokenTable(nn.Module):
@@ -102,20 +112,22 @@ class TokenTable(nn.Module):
         count = int(np.prod(shape))
         return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(shape)
 
+    def draw_corruption(self, shape: tuple[int, ...], generator: torch.Generator | None) -> TokenCorruption:
+        """The draws of :meth:`corrupt` for tokens of ``shape``."""
+        device = generator.device if generator is not None else torch.device("cpu")
+        chance = torch.rand(shape, generator=generator, device=device)
+        return TokenCorruption(chance, self.draw(shape, "uniform", generator))
+
     def corrupt(
-        self, token: Tensor, *, replacement_prob: float, null_prob: float, generator: torch.Generator | None
+        self, token: Tensor, corruption: TokenCorruption, *, replacement_prob: float, null_prob: float
     ) -> Tensor:
         """Training-time corruption of tokens (B,).
 
         With ``replacement_prob`` a token becomes a uniformly random token (the paper's token dropout); with
         ``null_prob`` it becomes the null token, numbered ``n_tokens``.
         """
-        if replacement_prob <= 0 and null_prob <= 0:
-            return token
-        device = generator.device if generator is not None else torch.device("cpu")
-        chance = torch.rand(token.shape, generator=generator, device=device).to(token.device)
-        random = self.draw(tuple(token.shape), "uniform", generator).to(token.device)
-        token = torch.where(chance < replacement_prob, random, token)
+        chance = corruption.chance.to(token.device)
+        token = torch.where(chance < replacement_prob, corruption.replacement.to(token.device), token)
         return torch.where(chance >= 1 - null_prob, self.n_tokens, token)
 
     def one_hot(self, token: Tensor) -> Tensor:

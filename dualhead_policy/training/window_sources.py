@@ -68,17 +68,17 @@ class RecordedWindows:
         self._token: Tensor | None = None
         if config.token in ("oracle", "episode"):
             self._token = policy.episode_token[torch.from_numpy(frames.episode_index).to(device)]
-        elif policy.tokens is not None:
+        elif policy.model.tokens is not None:
             self._token = self._nearest_tokens(policy)
 
     def _nearest_tokens(self, policy: DualheadPolicy) -> Tensor:
         """Window tokens by the window's first frame; frames that begin no window keep token 0."""
-        assert policy.tokens is not None
-        position = self._action[:, policy.head_slices["position"]]
+        assert policy.model.tokens is not None
+        position = self._action[:, policy.model.head_slices["position"]]
         token = torch.zeros(len(position), dtype=torch.int64, device=position.device)
         frames = torch.tensor(self._sampler.indices, device=position.device)
         for part in frames.split(65_536):
-            token[part] = policy.tokens.assign(position[self._windows(part)])
+            token[part] = policy.model.tokens.assign(position[self._windows(part)])
         return token
 
     def _windows(self, start: Tensor) -> Tensor:
@@ -133,7 +133,7 @@ class FreshRingPaths:
             env_kwargs.get("mode_angles"),
             **({"path_spread": env_kwargs["path_spread"]} if "path_spread" in env_kwargs else {}),
         )
-        self._map = REPRESENTATION_MAPS[policy.representation.kinematic_map.removeprefix("ring/")]
+        self._map = REPRESENTATION_MAPS[policy.representation.ring_map or ""]
         if policy.config.token == "episode":
             raise ValueError(
                 "--fresh_paths has no recorded episodes to follow an episode token in: leave it out, or use "
@@ -158,8 +158,8 @@ class FreshRingPaths:
         token: Tensor | None = None
         if self._policy.config.token == "oracle":
             token = torch.from_numpy(mode).to(device)
-        elif self._policy.tokens is not None:
-            token = self._policy.tokens.assign(action[..., self._policy.head_slices["position"]])
+        elif self._policy.model.tokens is not None:
+            token = self._policy.model.tokens.assign(action[..., self._policy.model.head_slices["position"]])
         return Batch(_preprocess(self._preprocessor, self._policy, raw), action, token)
 
 

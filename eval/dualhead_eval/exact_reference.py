@@ -23,7 +23,8 @@ from torch import Tensor
 from dualhead_envs.ring import geometry
 from dualhead_envs.ring.generator import RingGenerator, envelope
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap, RepresentationMap
-from dualhead_policy.flow.flow_matching import coupled_source_noise, integrate_euler
+from dualhead_policy.flow.coupling import resolve_shared_draws, resolve_source_noise
+from dualhead_policy.flow.flow_matching import integrate_euler
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 
 #: Radii at which the moments of the polar representation are estimated; linear interpolation in between.
@@ -120,18 +121,20 @@ class ExactReference:
         num_steps = num_steps or 20
         condition = batch["observation.environment_state"].double().numpy()
         leading = (len(condition), num_samples)
-        source = dict(coupling.source_noise or {})
-        if not source:
-            beta = coupling.source_noise_beta
-            beta = self.source_noise_beta if beta is None else beta
-            source = coupled_source_noise((*leading, geometry.HORIZON), self.head_dims, beta, generator)
-        tokens = self._tokens(leading, coupling, generator)
+        shape = (*leading, geometry.HORIZON)
+        source = resolve_source_noise(coupling, shape, self.head_dims, self.source_noise_beta, generator)
+        shared = resolve_shared_draws(
+            coupling,
+            list(self.head_dims),
+            None if self.token is None else lambda: self._draw_tokens(leading, generator),
+            None,
+        )
         target = torch.from_numpy(
             geometry.mode_directions(condition, self.generator.angles) * condition[:, 2, None, None]
         ).float()
         heads = {}
         for head, noise in source.items():
-            log_prior = self._log_prior(tokens[head] if tokens else None)
+            log_prior = self._log_prior(shared[head].token)
             if head == "joint" and not self.exact:
                 heads[head] = self._integrate_matched(noise, condition, log_prior, num_steps)
             else:
@@ -139,23 +142,14 @@ class ExactReference:
                 if head == "joint" and isinstance(self.map, LinearMap):
                     matrix = torch.from_numpy(self.map.matrix).float()
                 heads[head] = self._integrate_linear(noise, target, matrix, log_prior, num_steps)
-        return HeadSamples(heads["joint"], heads["position"], token=tokens["joint"] if tokens else None)
+        return HeadSamples(heads["joint"], heads["position"], token=shared["joint"].token)
 
-    def _tokens(
-        self, leading: tuple[int, int], coupling: SamplingCoupling, generator: torch.Generator | None
-    ) -> dict[str, Tensor] | None:
-        if self.token is None:
-            return None
+    def _draw_tokens(self, leading: tuple[int, int], generator: torch.Generator | None) -> Tensor:
         weights = torch.ones(self.generator.n_modes)
         if self.token_draw == "marginal":
             weights = torch.tensor(self.generator.probabilities, dtype=torch.float32)
-
-        def draw() -> Tensor:
-            count = leading[0] * leading[1]
-            return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(leading)
-
-        token = draw() if coupling.token is None else coupling.token
-        return {"joint": token, "position": token if coupling.share_token else draw()}
+        count = leading[0] * leading[1]
+        return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(leading)
 
     def _log_prior(self, token: Tensor | None) -> Tensor:
         """log P(mode | token): (K,) without a token, (B, N, K) with one.

@@ -43,7 +43,7 @@ def test_every_file_builds_a_policy_with_the_fields_that_it_names(metadata, path
     for name, value in fields.items():
         assert getattr(policy.config, name) == value, name
     action = torch.zeros(4, 16, 17)
-    token = torch.zeros(4, dtype=torch.int64) if policy.tokens is not None else None
+    token = torch.zeros(4, dtype=torch.int64) if policy.model.tokens is not None else None
     assert policy.compute_loss(torch.zeros(4, 42), action, token)[0].isfinite()
 
 

@@ -44,14 +44,6 @@ def test_contradictory_fields_are_refused_when_the_configuration_is_built(fields
         DualheadConfig(device="cpu", **fields)
 
 
-def test_a_robot_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match="does not exist"):
-        DualheadConfig(device="cpu", kinematic_map=f"file:{tmp_path / 'arm.urdf'}#tool0")
-    trained = RepresentationLayout.from_names(RING)
-    # A trained policy can be loaded where its robot's file is not.
-    DualheadConfig(device="cpu", kinematic_map=f"file:{tmp_path / 'arm.urdf'}#tool0", representation=trained)
-
-
 def test_a_layout_is_read_from_the_action_names():
     layout = RepresentationLayout.from_names(RING)
     assert layout.kinematic_map == "ring/nullspace"

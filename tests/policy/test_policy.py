@@ -88,7 +88,7 @@ def test_sampling_many_conditions_together_equals_sampling_each_alone(policy_and
 
 def test_heads_share_no_velocity_parameters(policy_and_batch):
     policy, _ = policy_and_batch
-    fields = policy.network.fields
+    fields = policy.model.network.fields
     assert not {id(p) for p in fields["joint"].parameters()} & {id(p) for p in fields["position"].parameters()}
 
 
@@ -102,7 +102,10 @@ def test_the_gradient_of_the_loss_agrees_with_finite_differences(ring_data, cond
     action = torch.from_numpy(frames.action[: 6 * 16].reshape(6, 16, -1)).double()
     policy.compute_loss(observation, action, None)[0].backward()
     step = 1e-5
-    for parameter in (policy.network.encoder.layers[0].weight, policy.network.fields["joint"].hidden[0].weight):
+    for parameter in (
+        policy.model.network.encoder.layers[0].weight,
+        policy.model.network.fields["joint"].hidden[0].weight,
+    ):
         values = []
         for change in (step, -2 * step):
             with torch.no_grad():
@@ -139,7 +142,7 @@ def test_a_loaded_policy_equals_the_saved_one(policy_and_batch, tmp_path):
 def test_weights_that_do_not_fit_are_refused(copied, damage):
     path = copied / "model.safetensors"
     tensors = load_file(path)
-    name = "network.fields.joint.output.bias"
+    name = "model.network.fields.joint.output.bias"
     if damage == "missing":
         del tensors[name]
     elif damage == "unexpected":
@@ -214,6 +217,6 @@ def test_fine_tuning_keeps_or_replaces_the_action_scale(trained, ring_data):
     for statistics in ("keep", "replace"):
         config = PreTrainedConfig.from_pretrained(policy_folder(trained), cli_overrides=[f"--statistics={statistics}"])
         config.pretrained_path = policy_folder(trained)
-        spreads[statistics] = make_policy(config, ds_meta=meta).action_scale.spread
-    assert torch.equal(spreads["keep"], load_policy(trained)[0].action_scale.spread)
+        spreads[statistics] = make_policy(config, ds_meta=meta).model.action_scale.spread
+    assert torch.equal(spreads["keep"], load_policy(trained)[0].model.action_scale.spread)
     assert spreads["replace"][0] == pytest.approx(2 * spreads["keep"][0].item(), rel=0.01)

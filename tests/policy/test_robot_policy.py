@@ -16,8 +16,8 @@ from dualhead_envs.bypass.lift_model import lift_mjcf
 from dualhead_envs.dataset_frames import read_split
 from dualhead_eval.ensembles.scores import vfd_score
 from dualhead_policy import DualheadConfig, DualheadPolicy, SamplingCoupling
+from dualhead_policy.flow.draws import draw_path_points, draw_step, noisy_chunks
 from dualhead_policy.flow.keyed_random import keyed_generator
-from dualhead_policy.flow.loss import draw_noisy_chunks
 from dualhead_policy.kinematics.panda import panda_position, panda_rotation
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix, matrix_from_columns
 from dualhead_policy.training.arguments import parse_training_config
@@ -70,14 +70,16 @@ def batch(windows):
 def test_the_gradient_of_every_mechanism_agrees_with_finite_differences(build, windows, name):
     policy = build(**MECHANISMS[name]).double()
     observation, action, token = windows
-    token = token if policy.tokens is not None else None
+    token = token if policy.model.tokens is not None else None
     loss, parts = policy.compute_loss(observation, action, token)
     loss.backward()
     assert loss.item() == pytest.approx(sum(part.item() for part in parts.values()))
     step = 1e-6
     matrices = [(n, p) for n, p in policy.named_parameters() if p.ndim == 2 and p.grad is not None]
     # The prior reads the encoder without moving it: there the slope is not the gradient.
-    matrices = [(n, p) for n, p in matrices if policy.token_prior is None or not n.startswith("network.encoder")]
+    matrices = [
+        (n, p) for n, p in matrices if policy.model.token_prior is None or not n.startswith("model.network.encoder")
+    ]
     modules = {name.rsplit(".", 2)[0]: parameter for name, parameter in matrices}
     assert len(modules) >= 6
     for parameter in modules.values():
@@ -94,17 +96,18 @@ def test_the_gradient_of_every_mechanism_agrees_with_finite_differences(build, w
 
 def plain_endpoints(policy, observation, action, purpose):
     """Clean endpoints outside the frames, in the plain coordinates of the paper: a = x_t + (1 - t) v."""
-    chunks = draw_noisy_chunks(policy, observation, action, keyed_generator(policy.config.seed, 0, purpose))
-    context = policy.network.encoder(observation)
+    generator = keyed_generator(policy.config.seed, 0, purpose)
+    chunks = noisy_chunks(policy.model, observation, action, *draw_path_points(policy.model, action, generator))
+    context = policy.model.network.encoder(observation)
     endpoint = {}
-    for head, part in policy.head_slices.items():
-        frame, time = policy.frame(head), chunks.time[:, None]
-        inside = policy.head_velocity(head, chunks.at_time(head), chunks.time, context)
+    for head, part in policy.model.head_slices.items():
+        frame, time = policy.model.frame(head), chunks.time[:, None]
+        inside = policy.model.velocity(head, chunks.at_time(head), chunks.time, context)
         velocity = inside @ frame.basis.T + frame.mean(observation)
         noise = chunks.source[head] @ frame.basis.T
-        x = (1 - time) * noise + time * policy.action_scale.normalize(action)[..., part].flatten(1)
+        x = (1 - time) * noise + time * policy.model.action_scale.normalize(action)[..., part].flatten(1)
         clean = (x + (1 - time) * velocity).unflatten(1, (16, -1))
-        endpoint[head] = policy.action_scale.unnormalize(clean, part)
+        endpoint[head] = policy.model.action_scale.unnormalize(clean, part)
     return endpoint
 
 
@@ -113,8 +116,8 @@ def test_the_consistency_loss_is_that_of_the_clean_endpoints(build, windows):
     observation, action, _ = windows
     _, parts = policy.compute_loss(observation, action, None)
     endpoint = plain_endpoints(policy, observation, action, "train")
-    difference = (panda_position(endpoint["joint"]) - endpoint["position"]) / policy.action_scale.scale[7:10]
-    spread = policy.action_scale.spread[7:10]
+    difference = (panda_position(endpoint["joint"]) - endpoint["position"]) / policy.model.action_scale.scale[7:10]
+    spread = policy.model.action_scale.spread[7:10]
     assert parts["consistency"].item() == pytest.approx(2 * (difference / spread).square().mean().item())
 
 
@@ -136,7 +139,7 @@ def test_a_mechanism_leaves_the_noise_and_times_of_the_others_as_they_are(build,
     draws = []
     for fields in ({}, {"latent": "prior"}, {"rotation_head": True}):
         policy = build(**fields, observation_noise=0.0).double()
-        draws.append(draw_noisy_chunks(policy, observation, action, keyed_generator(0, 0, "train")))
+        draws.append(draw_step(policy.model, observation, action, seed=0, step=0, has_tokens=False))
     for other in draws[1:]:
         assert torch.equal(draws[0].time, other.time)
         assert torch.equal(draws[0].source["joint"], other.source["joint"])
@@ -148,7 +151,7 @@ def test_the_gripper_moves_neither_the_encoder_nor_a_head(build, windows):
     observation, action, _ = windows
     policy.compute_loss(observation, action, None)[1]["gripper"].backward()
     touched = {name for name, parameter in policy.named_parameters() if parameter.grad is not None}
-    assert touched == {name for name, _ in policy.gripper.named_parameters(prefix="gripper")}
+    assert touched == {name for name, _ in policy.model.gripper.named_parameters(prefix="model.gripper")}
 
 
 @pytest.mark.parametrize("name", ["independent", "prior", "rotation", "learned prior", "bare network"])
@@ -241,7 +244,7 @@ def test_episode_tokens_are_the_modes_and_the_nmi_is_in_the_configuration(build,
     modes = torch.from_numpy(frames.labels["mode"][frames.frame_index == 0])
     assert torch.equal(policy.episode_token, modes) or torch.equal(policy.episode_token, 1 - modes)
     assert policy.config.token_nmi == pytest.approx(1)
-    assert policy.tokens.marginal.tolist() == [0.5, 0.5]
+    assert policy.model.tokens.marginal.tolist() == [0.5, 0.5]
     window = build(token="window")
     assert 0 <= window.config.token_nmi < 1
 
@@ -250,7 +253,7 @@ def test_fine_tuning_reads_new_episodes_with_the_checkpoints_centroids(build, tm
     """A second clustering may number its clusters differently; the heads know the first numbering."""
     policy = build(token="episode")
     expected = policy.episode_token.clone()
-    policy.tokens.centroids.copy_(policy.tokens.centroids.flip(0))
+    policy.model.tokens.centroids.copy_(policy.model.tokens.centroids.flip(0))
     policy.save_pretrained(tmp_path)
     again = build(token="episode", n_tokens=2, pretrained_path=tmp_path)
     assert torch.equal(again.episode_token, 1 - expected)
@@ -292,24 +295,42 @@ def test_a_folder_brings_the_robots_file_along(build, batch, tmp_path):
     assert (tmp_path / "again" / "robot.json").read_text() == (tmp_path / "hub" / "robot.json").read_text()
 
 
+def test_a_new_policy_without_its_robots_file_is_refused(build, tmp_path):
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        build(kinematic_map=f"file:{tmp_path / 'arm.urdf'}#tool0")
+
+
+def test_policies_that_call_their_robots_alike_keep_their_own(build, tmp_path):
+    """A folder's own copy decides, whatever another policy carries and whatever the path holds by now."""
+    path, kinematics = tmp_path / "arm.xml", f"file:{tmp_path / 'arm.xml'}#gripper0_grip_site"
+    joints = torch.zeros(1, 7, dtype=torch.float64)
+    for height in (0.0, 1.0):
+        base = 'name="robot0_base" pos="-0.56 0.0 {}"'
+        path.write_text(lift_mjcf().replace(base.format(0.912), base.format(0.912 + height)))
+        build(kinematic_map=kinematics).save_pretrained(tmp_path / f"{height}")
+    path.unlink()
+    low, high = (DualheadPolicy.from_pretrained(tmp_path / f"{height}").model.kinematics for height in (0.0, 1.0))
+    assert (high.position(joints) - low.position(joints))[0].tolist() == pytest.approx([0, 0, 1], abs=1e-6)
+
+
 @pytest.mark.parametrize("name", ["independent", "prior", "oracle", "bare network"])
 @pytest.mark.parametrize("head", ["joint", "position"])
 def test_a_walk_along_the_velocity_field_ends_where_sampling_does(build, batch, name, head):
     policy = build(**MECHANISMS[name]).eval()
-    for parameter in policy.network.parameters():
+    for parameter in policy.model.network.parameters():
         torch.nn.init.normal_(parameter, std=0.1)
     n = len(batch["observation.state"])
-    noise = {h: torch.randn(n, 1, 16, d, generator=keyed_generator(3)) for h, d in policy.head_dims.items()}
+    noise = {h: torch.randn(n, 1, 16, d, generator=keyed_generator(3)) for h, d in policy.model.head_dims.items()}
     drawn = policy.sample(batch, 1, num_steps=5, coupling=SamplingCoupling(source_noise=noise))
     shared = {"token": drawn.token, "latent": drawn.latent}
     field = policy.velocity_field(batch, head, **{k: v[:, 0] for k, v in shared.items() if v is not None})
     x = noise[head][:, 0].numpy()
     for step in range(5):
         x = x + field(x, step / 5) / 5
-    frame = policy.frames[head] if policy.frames else None
+    frame = policy.model.frames[head] if policy.model.frames else None
     clean = torch.from_numpy(x).flatten(1)
     clean = clean if frame is None else frame.rotate(clean)
-    expected = policy.physical_chunk(head, clean, policy._observation(batch))
+    expected = policy.model.physical_chunk(head, clean, policy._observation(batch))
     assert torch.allclose(getattr(drawn, head)[:, 0], expected, atol=1e-4)
     # The same member twice does not disagree with itself.
     assert vfd_score([field, field], noise[head][:, 0].numpy(), num_steps=3).max() == 0

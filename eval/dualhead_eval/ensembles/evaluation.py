@@ -20,7 +20,7 @@ from dualhead_eval.evaluation.open_loop import ModePartition
 from dualhead_eval.evaluation.samplers import ConditionBank, Source
 from dualhead_eval.gate.gate import Gate
 from dualhead_eval.residuals.strata import residual_strata
-from dualhead_policy.kinematics.kinematic_map import position_map
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.sampling import SamplingCoupling
 
 #: Conditions sampled together; their noise is keyed by the seed and the group's number.
@@ -98,7 +98,7 @@ def _positions(
         generator=torch.Generator().manual_seed(seed),
     )
     if head == "joint":
-        return position_map(source.kinematic_map)(drawn.joint.double()).cpu().numpy()
+        return KinematicMap(source.kinematic_map).position(drawn.joint.double()).cpu().numpy()
     return drawn.position.double().cpu().numpy()
 
 

@@ -34,7 +34,7 @@ from dualhead_eval.evaluation.labelled_pairs import LabelledPairs
 from dualhead_eval.evaluation.open_loop import make_gate
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_FORMAT, ClosedLoop, closed_loop_of
 from dualhead_eval.gate.gate import Gate
-from dualhead_policy.kinematics.kinematic_map import position_map
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.representation import RepresentationLayout
 from dualhead_policy.sampling import SamplingCoupling
@@ -95,7 +95,7 @@ def record_rollouts(
     features = {
         key: feature for key, feature in layout.dataset_features().items() if key.startswith(("observation.", "action"))
     }
-    for head, dim in policy.head_dims.items():
+    for head, dim in policy.model.head_dims.items():
         features[f"prediction.{head}"] = {
             "dtype": "float32",
             "shape": (samples * horizon * dim,),
@@ -193,10 +193,10 @@ class _Decisions:
         self, policy: DualheadPolicy, preprocess: Callable[[Any], Any], samples: int, kinematic_map: str
     ) -> None:
         self.policy, self.preprocess, self.samples = policy, preprocess, samples
-        self.to_position = position_map(kinematic_map)
+        self.to_position = KinematicMap(kinematic_map).position
         self.blank = {
             f"prediction.{head}": np.zeros(samples * policy.config.chunk_size * dim, dtype=np.float32)
-            for head, dim in policy.head_dims.items()
+            for head, dim in policy.model.head_dims.items()
         }
 
     def start(self, seed: int) -> None:
@@ -218,15 +218,15 @@ class _Decisions:
                 token[:, 0] = self.token
             self.token = token[:, 0]
         latent = None
-        if policy.shared_latent is not None:
-            latent = policy.shared_latent.draw((1, self.samples), self.generator)
+        if policy.model.shared_latent is not None:
+            latent = policy.model.shared_latent.draw((1, self.samples), self.generator)
             if self.latent is not None:
                 latent[:, 0] = self.latent
             self.latent = latent[:, 0]
         coupling = SamplingCoupling(token=token, latent=latent)
         drawn = policy.sample(batch, self.samples, coupling=coupling, generator=self.generator)
         self.predictions = {
-            f"prediction.{head}": getattr(drawn, head)[0].flatten().cpu().numpy() for head in policy.head_dims
+            f"prediction.{head}": getattr(drawn, head)[0].flatten().cpu().numpy() for head in policy.model.head_dims
         }
         self.chunk = list(policy.dual_chunk(drawn)[0, : policy.config.n_action_steps].cpu().numpy())
         joint = self.to_position(drawn.joint[0].double())
@@ -300,7 +300,7 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
     condition = columns["observation.environment_state"][decision]
     joint = torch.from_numpy(chunks("prediction.joint")).double()
     pairs = LabelledPairs.from_paths(
-        position_map(sidecar["layout"])(joint).numpy(),
+        KinematicMap(sidecar["layout"]).position(joint).numpy(),
         chunks("prediction.position").astype(np.float64),
         condition,
         partition,

@@ -14,7 +14,7 @@ from dualhead_eval.effects.counts import joint_table
 from dualhead_eval.evaluation.labelled_pairs import ROTATION, LabelledPairs, ModePartition
 from dualhead_eval.gate.gate import Gate
 from dualhead_eval.residuals.strata import residual_strata
-from dualhead_policy.kinematics.kinematic_map import position_map, rotation_map
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix
 from dualhead_policy.sampling import Sampler, SamplingCoupling
 
@@ -69,7 +69,7 @@ def sample_pairs(
         progress: Called with the number of conditions done.
     """
     condition = observation["observation.environment_state"]
-    to_position = position_map(kinematic_map)
+    kinematics = KinematicMap(kinematic_map)
     parts = []
     for number, start in enumerate(range(0, len(condition), GROUP)):
         group = slice(start, start + GROUP)
@@ -84,11 +84,11 @@ def sample_pairs(
         )
         rotations = None
         if samples.rotation is not None:
-            joint_rotation = columns_from_matrix(rotation_map(kinematic_map)(samples.joint.double()))
+            joint_rotation = columns_from_matrix(kinematics.rotation(samples.joint.double()))
             rotations = (joint_rotation.cpu().numpy(), samples.rotation.double().cpu().numpy())
         parts.append(
             LabelledPairs.from_paths(
-                to_position(samples.joint.double()).cpu().numpy(),
+                kinematics.position(samples.joint.double()).cpu().numpy(),
                 samples.position.double().cpu().numpy(),
                 condition[group],
                 partition,

@@ -7,7 +7,6 @@ from pathlib import Path
 from dualhead_eval.gate.gate import Gate
 from dualhead_eval.paper.numbers import residual_mm
 from dualhead_eval.report.content import report_rows
-from dualhead_policy.model_card import write_model_card
 from dualhead_policy.pretrained import load_policy, policy_folder
 
 
@@ -17,7 +16,7 @@ def card_numbers(gate: Gate) -> dict[str, float]:
     summary = row.summary
     numbers = {
         "conditions": gate.n_conditions,
-        "sample pairs a condition": int(gate.table()[0].sum()),
+        "sample pairs per condition": int(gate.table()[0].sum()),
         "threshold tau": gate.reference_tau,
         "Euler steps": gate.reference_nfe,
         "valid-pair rate": summary.valid_rate,
@@ -32,8 +31,5 @@ def card_numbers(gate: Gate) -> dict[str, float]:
 def write_card_numbers(policy: str | Path, gate: Gate) -> Path:
     """Write the numbers of ``gate`` into the card of the policy that it evaluated; returns the card's path."""
     folder = policy_folder(policy)
-    loaded, _ = load_policy(folder)
-    usage = None if loaded.tokens is None else loaded.tokens.marginal.tolist()
-    step = int(loaded.training_step)
-    write_model_card(folder, loaded.config, step=step, token_usage=usage, results=card_numbers(gate))
+    load_policy(folder)[0].write_card(folder, card_numbers(gate))
     return folder / "README.md"

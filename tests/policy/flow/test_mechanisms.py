@@ -14,7 +14,7 @@ from torch.distributions import Normal, kl_divergence
 
 from dualhead_policy.flow.consistency import consistency_deviation, position_consistency, rotation_consistency
 from dualhead_policy.flow.keyed_random import keyed_generator
-from dualhead_policy.kinematics.kinematic_map import position_map
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.kinematics.panda import panda_position, panda_rotation
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix, geodesic_angle, matrix_from_columns
 from dualhead_policy.model.gripper import GripperOutput
@@ -44,7 +44,7 @@ def test_the_whitened_norm_weighs_a_distance_by_the_targets_spread():
 
 
 def test_on_a_linear_map_the_consistency_loss_is_a_quadratic_with_a_known_gradient():
-    to_position = position_map("ring/orthogonal")
+    to_position = KinematicMap("ring/orthogonal").position
     joint = torch.randn(4, 5, 2, dtype=torch.float64, generator=keyed_generator(1)).requires_grad_()
     position = torch.randn(4, 5, 2, dtype=torch.float64, generator=keyed_generator(2)).requires_grad_()
     position_consistency(joint, position, to_position, torch.ones(2)).backward()

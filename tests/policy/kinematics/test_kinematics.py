@@ -15,7 +15,7 @@ from dualhead_envs.bypass.scene import load_scene
 from dualhead_envs.bypass.task import BIMODAL_BYPASS, START_JOINTS
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS
 from dualhead_policy.flow.keyed_random import keyed_generator
-from dualhead_policy.kinematics.kinematic_map import position_map, rotation_map
+from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.kinematics.panda import PANDA_BASE, panda_position, panda_rotation
 
 ROBOT_FILE = Path(str(distribution("robosuite").locate_file("robosuite"))) / "models/assets/robots/panda/robot.xml"
@@ -50,7 +50,7 @@ def test_the_panda_agrees_with_the_simulators_grip_site(simulated, dtype, tolera
 
 def test_the_panda_agrees_with_pytorch_kinematics_on_robosuites_robot_file():
     joints = configurations(200)
-    hand = position_map(f"file:{ROBOT_FILE}#right_hand")(joints)
+    hand = KinematicMap(f"file:{ROBOT_FILE}#right_hand").position(joints)
     # The hand's body lies 97 mm behind the grip site along the hand's third axis.
     ours = panda_position(joints) - 0.097 * panda_rotation(joints)[..., 2]
     assert (hand + torch.tensor(PANDA_BASE, dtype=hand.dtype) - ours).abs().max() < 1e-6
@@ -86,7 +86,7 @@ def test_the_panda_compiles():
 def test_the_rings_maps_agree_with_the_environments(name):
     ring_map = REPRESENTATION_MAPS[name]
     positions = np.random.default_rng(0).normal(size=(5, 16, 2))
-    ours = position_map(f"ring/{name}")(torch.from_numpy(ring_map.from_position(positions)))
+    ours = KinematicMap(f"ring/{name}").position(torch.from_numpy(ring_map.from_position(positions)))
     assert ours.numpy() == pytest.approx(positions, abs=1e-12)
 
 
@@ -101,10 +101,10 @@ def test_another_robot_comes_as_a_urdf(tmp_path):
     path = tmp_path / "two.urdf"
     path.write_text(URDF)
     angle = torch.linspace(-1, 1, 6, dtype=torch.float64).reshape(2, 3)
-    tip = position_map(f"file:{path}#tip")(torch.stack([angle, angle], dim=-1))
+    tip = KinematicMap(f"file:{path}#tip").position(torch.stack([angle, angle], dim=-1))
     expected = torch.stack([angle.cos(), angle.sin(), torch.zeros_like(angle)], dim=-1)
     assert torch.allclose(tip, expected, atol=1e-7)
-    turn = rotation_map(f"file:{path}#tip")(torch.stack([angle, angle], dim=-1))
+    turn = KinematicMap(f"file:{path}#tip").rotation(torch.stack([angle, angle], dim=-1))
     assert torch.allclose(turn[..., 0, 0], (2 * angle).cos(), atol=1e-7)
     assert torch.allclose(turn[..., 1, 0], (2 * angle).sin(), atol=1e-7)
 
@@ -128,11 +128,11 @@ def test_kinematics_that_cannot_be_had_are_refused(tmp_path, name, error, senten
     for path, content in zip(files.values(), (URDF, "two joints", "<html/>", part), strict=True):
         path.write_text(content)
     with pytest.raises(error, match=sentence):
-        position_map(name.format(**files))
+        KinematicMap(name.format(**files)).require()
 
 
 def test_a_configuration_of_another_width_is_refused():
     with pytest.raises(ValueError, match="7 joints, got 6"):
         panda_position(torch.zeros(2, 6))
     with pytest.raises(ValueError, match="has no orientation"):
-        rotation_map("ring/polar")
+        KinematicMap("ring/polar").rotation(torch.zeros(2))

@@ -16,7 +16,9 @@ MANY = 50_000
 def test_replacement_and_null_probabilities_do_what_their_names_say():
     table = TokenTable(4, 0)
     clean = torch.zeros(MANY, dtype=torch.int64)
-    noisy = table.corrupt(clean, replacement_prob=0.2, null_prob=0.1, generator=keyed_generator(0))
+    noisy = table.corrupt(
+        clean, table.draw_corruption((MANY,), keyed_generator(0)), replacement_prob=0.2, null_prob=0.1
+    )
     share = torch.bincount(noisy, minlength=5) / MANY
     # A replacement is uniform over all tokens, the original among them.
     assert share.numpy() == pytest.approx([0.7 + 0.05, 0.05, 0.05, 0.05, 0.1], abs=0.006)
@@ -24,8 +26,9 @@ def test_replacement_and_null_probabilities_do_what_their_names_say():
 
 
 def test_without_corruption_tokens_pass_unchanged():
-    token = torch.arange(4)
-    assert torch.equal(TokenTable(4, 0).corrupt(token, replacement_prob=0, null_prob=0, generator=None), token)
+    token, table = torch.arange(4), TokenTable(4, 0)
+    corruption = table.draw_corruption((4,), keyed_generator(0))
+    assert torch.equal(table.corrupt(token, corruption, replacement_prob=0, null_prob=0), token)
 
 
 def test_marginal_draws_follow_the_training_frequencies():

@@ -1,0 +1,76 @@
+"""The coupling of sampled heads, resolved: which source noise, token and latent each head's samples follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dualhead_policy.flow.flow_matching import coupled_source_noise
+from dualhead_policy.sampling import SamplingCoupling
+
+
+@dataclass(frozen=True)
+class SharedDraws:
+    """What a head's samples follow: tokens (B, N), or latents (B, N, dim), or neither."""
+
+    token: Tensor | None = None
+    latent: Tensor | None = None
+
+
+def resolve_source_noise(
+    coupling: SamplingCoupling,
+    shape: tuple[int, ...],
+    head_dims: Mapping[str, int],
+    beta: float,
+    generator: torch.Generator | None,
+) -> Mapping[str, Tensor]:
+    """Source noise by head, each (*shape, d): the caller's, or drawn with the caller's beta or else ``beta``.
+
+    Raises:
+        ValueError: If the caller's noise lacks a head.
+    """
+    if coupling.source_noise:
+        missing = sorted(set(head_dims) - set(coupling.source_noise))
+        if missing:
+            raise ValueError(f"coupling.source_noise lacks {missing}: give the noise of every head")
+        return coupling.source_noise
+    own = coupling.source_noise_beta
+    return coupled_source_noise(shape, head_dims, beta if own is None else own, generator)
+
+
+def resolve_shared_draws(
+    coupling: SamplingCoupling,
+    heads: Sequence[str],
+    draw_token: Callable[[], Tensor] | None,
+    draw_latent: Callable[[], Tensor] | None,
+) -> dict[str, SharedDraws]:
+    """What each head's samples follow: the caller's token or latent, or one drawn, and others where heads do not share.
+
+    Args:
+        coupling: The caller's choices.
+        heads: Names of the heads; those after the first draw anew where they do not share.
+        draw_token: Draws tokens (B, N), or None for a sampler without tokens.
+        draw_latent: Draws latents (B, N, dim), or None for a sampler without a latent.
+
+    Raises:
+        ValueError: If the caller gives a token or latent that the sampler does not have.
+    """
+    for name, draw, given in (("token", draw_token, coupling.token), ("latent", draw_latent, coupling.latent)):
+        if given is not None and draw is None:
+            raise ValueError(f"the policy has no {name} to follow: sample it without coupling.{name}")
+
+    def drawn(token: Tensor | None = None, latent: Tensor | None = None) -> SharedDraws:
+        if token is None and draw_token is not None:
+            token = draw_token()
+        if latent is None and draw_latent is not None:
+            latent = draw_latent()
+        return SharedDraws(token, latent)
+
+    first = drawn(coupling.token, coupling.latent)
+    apart = (draw_token is not None and not coupling.share_token) or (
+        draw_latent is not None and not coupling.share_latent
+    )
+    return {head: first if head == heads[0] or not apart else drawn() for head in heads}
