@@ -8,7 +8,7 @@ PRESETS: dict[str, dict[str, str]] = {
     "smoke": {"steps": "3000", "batch_size": "128", "save_freq": "1000"},
     # Large enough to hold trained networks against the exact reference.
     "full": {"steps": "20000", "batch_size": "128", "save_freq": "5000"},
-    # sec:models: 50,000 steps of batch 128 at 3e-4, the network as the paper states it.
+    # sec:models: 50,000 steps of batch 128 at 3e-4; network, exact observations and unpadded windows as in the paper.
     "paper": {
         "steps": "50000",
         "batch_size": "128",
@@ -17,5 +17,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "policy.lr_schedule": "constant",
         "policy.conditioning": "concat",
         "policy.preconditioning": "none",
+        "policy.observation_noise": "0",
+        "policy.padded_steps": "0",
     },
 }
