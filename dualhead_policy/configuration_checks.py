@@ -12,7 +12,7 @@ CHOICES = {
     "token_positions": ("absolute", "displacement"),
     "token_draw": ("uniform", "marginal", "learned"),
     "latent": (None, "prior", "posterior"),
-    "consistency_norm": ("whitened", "meters"),
+    "consistency_norm": ("normalized", "meters"),
     "lr_schedule": ("cosine", "constant"),
     "normalize_actions": ("auto", "mean_std", "identity"),
     "statistics": ("keep", "replace"),

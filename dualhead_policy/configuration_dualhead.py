@@ -58,8 +58,9 @@ class DualheadConfig(PreTrainedConfig):
         free_bits: Nats of each latent dimension that are not penalised.
         consistency_weight: lambda of eq:cons: weight of the squared distance between the position of the joint head's
             clean endpoint and the position head's, at the same time and sample, all times weighing alike.
-        consistency_norm: W of eq:cons: ``"whitened"``, the inverse variance of the position targets, so that lambda
-            weighs like the flow loss; or ``"meters"``.
+        consistency_norm: W of eq:cons: ``"normalized"``, the units of the position head's own flow loss, so that the
+            same lambda weighs both alike on every layout (on robots the inverse variance of the position targets; on
+            the ring, whose actions are not normalised, metres); or ``"meters"``.
         rotation_head: Whether a third head predicts the orientation, by flow matching on its 6-D representation.
         rotation_consistency_weight: Weight of the squared geodesic angle (rad^2) between the rotation of the joint
             head's clean endpoint and the rotation head's.
@@ -106,7 +107,7 @@ class DualheadConfig(PreTrainedConfig):
     free_bits: float = 0.0
 
     consistency_weight: float = 0.0
-    consistency_norm: str = "whitened"
+    consistency_norm: str = "normalized"
     rotation_head: bool = False
     rotation_consistency_weight: float = 0.0
     kinematic_map: str | None = None

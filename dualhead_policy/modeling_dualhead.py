@@ -13,22 +13,21 @@ from huggingface_hub import ModelCard
 from lerobot.configs import FeatureType
 from lerobot.policies import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
-from torch import Tensor
+from torch import Tensor, distributed
 
 from dualhead_policy.checkpoint_loading import load_strictly
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin, resolve_representation
 from dualhead_policy.fitting.scales import fit_scales
-from dualhead_policy.fitting.tokens import fit_tokens, make_token_table
+from dualhead_policy.fitting.tokens import new_tokens
 from dualhead_policy.flow.coupling import SharedDraws
 from dualhead_policy.flow.diagnostics import latent_sensitivity, teacher_forced_residuals
 from dualhead_policy.flow.draws import draw_step
 from dualhead_policy.flow.loss import training_loss
-from dualhead_policy.flow.solver import condition_velocity, sample_chunks
+from dualhead_policy.flow.solver import condition_velocity, numpy_field, sample_chunks
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix
 from dualhead_policy.model.dualhead_model import DualheadModel
-from dualhead_policy.model.tokens import TokenTable
 from dualhead_policy.model_card import model_card
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 
@@ -74,29 +73,18 @@ class DualheadPolicy(PreTrainedPolicy):
         ]
         observation_dim = sum(config.input_features[key].shape[0] for key in self.observation_keys)
         self.register_buffer("training_step", torch.zeros((), dtype=torch.int64))
-        self._transport: Tensor | None = None
-        self.model = DualheadModel(config, self.representation, observation_dim, self._make_tokens(dataset_meta))
+        tokens = new_tokens(config, self.representation.slices["position"], dataset_meta)
+        self._transport = None if tokens is None else tokens.transport
+        if tokens is not None and tokens.episode_token is not None:
+            # Needed in training only: rebuilt from the dataset, not part of the checkpoint.
+            self.register_buffer("episode_token", tokens.episode_token, persistent=False)
+        self.model = DualheadModel(config, self.representation, observation_dim, tokens.table if tokens else None)
         if is_new:
             self.model.kinematics.require()
         fit_scales(self.model, self.observation_keys, dataset_stats, dataset_meta)
         self.reset()
 
     # --- construction and loading ------------------------------------------------------------------------
-
-    def _make_tokens(self, dataset_meta: Any | None) -> TokenTable | None:
-        config, position = self.config, self.representation.slices["position"]
-        if config.token is None:
-            return None
-        if dataset_meta is None:
-            if config.n_tokens is None:
-                raise ValueError("policy.n_tokens is missing from the configuration: give the number of tokens")
-            return make_token_table(config, position.stop - position.start)
-        fitted = fit_tokens(config, dataset_meta.root, position)
-        self._transport = fitted.transport
-        if fitted.episode_token is not None:
-            # Needed in training only: rebuilt from the dataset, not part of the checkpoint.
-            self.register_buffer("episode_token", fitted.episode_token, persistent=False)
-        return fitted.table
 
     @classmethod
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
@@ -141,19 +129,25 @@ class DualheadPolicy(PreTrainedPolicy):
 
     # --- training ----------------------------------------------------------------------------------------
 
-    def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
+    def forward(self, batch: Mapping[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
         """The training loss on a batch of preprocessed observations and physical action windows.
 
         Args:
             batch: Observations (B, dim) and ``action`` (B, H, D); ``episode_index`` (B,) for oracle and
                 episode tokens.
+            reduction: ``"mean"``, the only one: free bits act on the batch, so that a window has no loss of its own.
 
         Returns:
             The loss, and the share of each head and mechanism.
 
         Raises:
-            ValueError: If an action is not finite or the windows have another shape.
+            ValueError: If an action is not finite, the windows have another shape, or another reduction is asked for.
         """
+        if reduction != "mean":
+            raise ValueError(
+                f"forward(reduction={reduction!r}) asks a dualhead policy for a loss per window, expected 'mean': "
+                "train without --sample_weighting"
+            )
         action = batch[ACTION]
         expected = (self.config.chunk_size, len(self.representation.names))
         if action.shape[1:] != expected:
@@ -180,7 +174,9 @@ class DualheadPolicy(PreTrainedPolicy):
         return training_loss(self.model, observation, action, token, draws)
 
     def _draw_key(self) -> dict[str, int]:
-        return {"seed": self.config.seed or 0, "step": int(self.training_step)}
+        # Under accelerate every process sees other windows: their noise and times must differ too.
+        rank = distributed.get_rank() if distributed.is_available() and distributed.is_initialized() else 0
+        return {"seed": self.config.seed or 0, "step": int(self.training_step), "rank": rank}
 
     def sensitivity(self, observation: Tensor, action: Tensor) -> dict[str, float]:
         """Each head's relative change under a redrawn latent (tab:sensitivity); empty without a latent."""
@@ -274,13 +270,7 @@ class DualheadPolicy(PreTrainedPolicy):
                 needs = f"needs a {name} for every row: pass {name}=..." if part is not None else f"has no {name}"
                 raise ValueError(f"the policy {needs}")
         field = condition_velocity(self.model, self._observation(batch), head, SharedDraws(token, latent))
-        dtype = next(self.parameters()).dtype
-
-        @torch.no_grad()
-        def velocity(x: np.ndarray, time: float) -> np.ndarray:
-            return field(torch.from_numpy(np.asarray(x)).to(self.config.device, dtype), time).cpu().numpy()
-
-        return velocity
+        return numpy_field(field, next(self.parameters()))
 
     @torch.no_grad()
     def draw_tokens(
@@ -301,12 +291,16 @@ class DualheadPolicy(PreTrainedPolicy):
         self._episode_rotation: Tensor | None = None
 
     @torch.no_grad()
-    def predict_action_chunk(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:
+    def predict_action_chunk(self, batch: Mapping[str, Tensor], **given: Any) -> Tensor:
         """One dual action chunk (B, H, D) per row, in physical units.
 
         Tokens and latents are drawn per row at the first decision after :meth:`reset` and held through the episode;
         window tokens belong to a window and are drawn at every decision.
+
+        Raises:
+            ValueError: If given one source noise, where the heads have one each.
         """
+        _refuse_keywords("predict_action_chunk", given)
         n = len(self._observation(batch))
         if self._episode_token is None or len(self._episode_token) != n or self.config.token == "window":
             self._episode_token = self.draw_tokens(batch, 1)
@@ -336,10 +330,24 @@ class DualheadPolicy(PreTrainedPolicy):
         return self._episode_rotation[:, None].expand(-1, self.config.chunk_size, -1)
 
     @torch.no_grad()
-    def select_action(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:
-        """The next dual action (B, D): a new chunk every ``n_action_steps`` steps."""
+    def select_action(self, batch: Mapping[str, Tensor], **given: Any) -> Tensor:
+        """The next dual action (B, D): a new chunk every ``n_action_steps`` steps.
+
+        Raises:
+            ValueError: If given one source noise, where the heads have one each.
+        """
+        _refuse_keywords("select_action", given)
         self.eval()
         if not self._queue:
             chunk = self.predict_action_chunk(batch)
             self._queue.extend(chunk[:, : self.config.n_action_steps].unbind(1))
         return self._queue.popleft()
+
+
+def _refuse_keywords(method: str, given: Mapping[str, Any]) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f"{method} got {name}=..., which a dualhead policy does not take: expected a batch alone; to choose "
+                "the noise of each head, call policy.sample(batch, 1, coupling=SamplingCoupling(source_noise=...))"
+            )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -76,6 +77,29 @@ def transport_trajectories(frames: SplitFrames, position: slice) -> Tensor:
         columns = [np.interp(at, np.arange(len(path)), path[:, axis]) for axis in range(path.shape[1])]
         trajectories.append(np.stack(columns, axis=-1))
     return torch.from_numpy(np.stack(trajectories).astype(np.float32))
+
+
+def new_tokens(config: DualheadConfig, position: slice, dataset_meta: Any | None) -> FittedTokens | None:
+    """The tokens of a policy: fitted to its training data, or, without data, a table that a checkpoint will fill.
+
+    Args:
+        config: The policy's configuration.
+        position: Where the position lies in the dual action vector.
+        dataset_meta: Metadata of the training data, or None.
+
+    Returns:
+        The tokens; None for a policy without.
+
+    Raises:
+        ValueError: If there is neither data nor a number of tokens, and as :func:`fit_tokens` does.
+    """
+    if config.token is None:
+        return None
+    if dataset_meta is not None:
+        return fit_tokens(config, dataset_meta.root, position)
+    if config.n_tokens is None:
+        raise ValueError("policy.n_tokens is missing from the configuration: give the number of tokens")
+    return FittedTokens(make_token_table(config, position.stop - position.start))
 
 
 def fit_tokens(config: DualheadConfig, root: str | Path, position: slice) -> FittedTokens:

@@ -6,7 +6,6 @@ on noisy intermediate states they would be ill-posed. All times t weigh alike.
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from dualhead_policy.kinematics.kinematic_map import PositionMap, RotationMap
@@ -20,7 +19,7 @@ def position_consistency(joint: Tensor, position: Tensor, to_position: PositionM
         joint: Clean endpoints of the joint head (B, H, d_A).
         position: Clean endpoints of the position head (B, H, d) in m.
         to_position: Forward kinematics FK.
-        deviation: W^(-1/2) per coordinate (d,) in m; ones for the norm in metres.
+        deviation: W^(-1/2) per coordinate (d,) in m: the unit in which a distance counts as one.
     """
     return ((to_position(joint) - position) / deviation).square().mean()
 
@@ -34,13 +33,3 @@ def rotation_consistency(joint: Tensor, columns: Tensor, to_rotation: RotationMa
         to_rotation: Forward kinematics, to rotation matrices.
     """
     return geodesic_angle(to_rotation(joint), matrix_from_columns(columns)).square().mean()
-
-
-def consistency_deviation(norm: str, position_rms: Tensor) -> Tensor:
-    """W^(-1/2) per coordinate for ``"whitened"`` (the position targets' spread in m) or ``"meters"`` (ones).
-
-    A coordinate that never varies is left in metres.
-    """
-    if norm == "meters":
-        return torch.ones_like(position_rms)
-    return torch.where(position_rms > 0, position_rms, 1)

@@ -9,13 +9,21 @@ from torch import Tensor
 
 from dualhead_policy.flow.draws import draw_path_points, noisy_chunks
 from dualhead_policy.flow.keyed_random import keyed_generator
+from dualhead_policy.flow.loss import infer_latent
 from dualhead_policy.kinematics.rotation6d import geodesic_angle, matrix_from_columns
 from dualhead_policy.model.dualhead_model import DualheadModel
 
 
 @torch.no_grad()
 def teacher_forced_residuals(
-    model: DualheadModel, observation: Tensor, action: Tensor, token: Tensor | None, *, seed: int, step: int
+    model: DualheadModel,
+    observation: Tensor,
+    action: Tensor,
+    token: Tensor | None,
+    *,
+    seed: int,
+    step: int,
+    rank: int = 0,
 ) -> dict[str, float]:
     """How far the heads' clean endpoints lie apart on training samples, that is, given the data's own x_t.
 
@@ -27,17 +35,21 @@ def teacher_forced_residuals(
         observation: Preprocessed observations (B, C).
         action: Dual action windows (B, H, D) in physical units.
         token: Tokens (B,), or None.
-        seed, step: Seed and training step of the run, of which the draws are a function.
+        seed, step, rank: Seed, training step and process of the run, of which the draws are a function.
 
     Returns:
         ``position_mm``, the mean distance between FK of the joint head's and the position head's endpoints; with a
         rotation head ``rotation_deg``, the mean angle between the joint head's and its own.
     """
-    generator = keyed_generator(seed, step, "residual", device=action.device)
+    generator = keyed_generator(seed, step, "residual", rank, device=action.device)
     chunks = noisy_chunks(model, observation, action, *draw_path_points(model, action, generator))
     embedding, latent = model.embed(observation), None
     if model.shared_latent is not None:
         latent = model.shared_latent.draw((len(action),), generator).to(action.dtype)
+        if model.shared_latent.posterior is not None:
+            # Teacher-forced in the latent too: the prior's draw would name another window than the data's.
+            mean, deviation = infer_latent(model, action, embedding)
+            latent = mean + deviation * latent
     context = model.context(embedding, token if model.tokens is not None else None, latent)
     endpoint = {}
     for head in model.head_slices:
@@ -55,7 +67,7 @@ def teacher_forced_residuals(
 
 @torch.no_grad()
 def latent_sensitivity(
-    model: DualheadModel, observation: Tensor, action: Tensor, *, seed: int, step: int
+    model: DualheadModel, observation: Tensor, action: Tensor, *, seed: int, step: int, rank: int = 0
 ) -> dict[str, float]:
     """How much each head's velocity depends on the latent (tab:sensitivity).
 
@@ -66,10 +78,10 @@ def latent_sensitivity(
         model: A model with a latent.
         observation: Preprocessed observations (B, C).
         action: Dual action windows (B, H, D) in physical units.
-        seed, step: Seed and training step of the run, of which the draws are a function.
+        seed, step, rank: Seed, training step and process of the run, of which the draws are a function.
     """
     assert model.shared_latent is not None
-    generator = keyed_generator(seed, step, "sensitivity", device=action.device)
+    generator = keyed_generator(seed, step, "sensitivity", rank, device=action.device)
     chunks = noisy_chunks(model, observation, action, *draw_path_points(model, action, generator))
     embedding = model.embed(observation)
     contexts = []

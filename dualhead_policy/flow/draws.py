@@ -49,7 +49,14 @@ def draw_path_points(
 
 
 def draw_step(
-    model: DualheadModel, observation: Tensor, action: Tensor, *, seed: int, step: int, has_tokens: bool
+    model: DualheadModel,
+    observation: Tensor,
+    action: Tensor,
+    *,
+    seed: int,
+    step: int,
+    rank: int = 0,
+    has_tokens: bool,
 ) -> StepDraws:
     """The draws of training step ``step`` of a run, or of its validation where the model is in evaluation mode.
 
@@ -59,10 +66,13 @@ def draw_step(
         action: Dual action windows (B, H, D).
         seed: Seed of the run.
         step: Training step.
+        rank: Process of a distributed training; each draws its own.
         has_tokens: Whether the windows come with tokens.
     """
     config, device = model.config, action.device
-    key = (seed, step, "train" if model.training else "validate")
+    key: tuple[int | str, ...] = (seed, step, "train" if model.training else "validate")
+    if rank:
+        key += ("rank", rank)
     generator = keyed_generator(*key, device=device)
     time, source = draw_path_points(model, action, generator)
     noise = corruption = latent = None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
-from dualhead_policy.flow.consistency import consistency_deviation, position_consistency, rotation_consistency
+from dualhead_policy.flow.consistency import position_consistency, rotation_consistency
 from dualhead_policy.flow.draws import StepDraws, noisy_chunks
-from dualhead_policy.model.dualhead_model import DualheadModel
+from dualhead_policy.model.dualhead_model import HEADS, DualheadModel
 from dualhead_policy.model.latent import divergence_from_standard_normal, free_bits_penalty
 
 
@@ -65,6 +67,11 @@ def training_loss(
     return sum(parts.values(), torch.zeros((), device=action.device)), parts
 
 
+def flow_loss(parts: Mapping[str, Tensor]) -> Tensor:
+    """The heads' flow-matching losses alone, summed: what settles when a velocity field has been learnt."""
+    return sum((parts[head] for head in HEADS if head in parts), torch.zeros(()))
+
+
 def infer_latent(model: DualheadModel, action: Tensor, embedding: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation (B, dim) of the posterior q(z | x_1, c), which sees the clean chunks of all heads."""
     assert model.shared_latent is not None
@@ -76,8 +83,8 @@ def infer_latent(model: DualheadModel, action: Tensor, embedding: Tensor) -> tup
 def _consistency(model: DualheadModel, endpoint: dict[str, Tensor]) -> dict[str, Tensor]:
     config, parts = model.config, {}
     if config.consistency_weight > 0:
-        scale, part = model.action_scale, model.head_slices["position"]
-        deviation = consistency_deviation(config.consistency_norm, (scale.spread * scale.scale)[part])
+        scale = model.action_scale.scale[model.head_slices["position"]]
+        deviation = scale if config.consistency_norm == "normalized" else torch.ones_like(scale)
         parts["consistency"] = config.consistency_weight * position_consistency(
             endpoint["joint"], endpoint["position"], model.kinematics.position, deviation
         )

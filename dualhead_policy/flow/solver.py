@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -117,6 +118,16 @@ def _integrate(
         return model.network.velocity(head, x, now, modulation, spread)
 
     return integrate_euler(velocity, noise, num_steps)
+
+
+def numpy_field(field: Callable[[Tensor, float], Tensor], like: Tensor) -> Callable[[np.ndarray, float], np.ndarray]:
+    """A velocity field on NumPy arrays, computed on the device and in the precision of ``like``."""
+
+    @torch.no_grad()
+    def velocity(x: np.ndarray, time: float) -> np.ndarray:
+        return field(torch.from_numpy(np.asarray(x)).to(like), time).cpu().numpy()
+
+    return velocity
 
 
 def condition_velocity(

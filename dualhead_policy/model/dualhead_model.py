@@ -17,6 +17,9 @@ from dualhead_policy.model.token_prior import TokenPrior
 from dualhead_policy.model.tokens import TokenTable
 from dualhead_policy.representation import RepresentationLayout
 
+#: Names of the heads, in the order of the dual action vector; the third is optional.
+HEADS = ("joint", "position", "rotation")
+
 
 class DualheadModel(nn.Module):
     """Everything that a dual-head policy learns or fits; its state is the whole of ``model.safetensors``.
@@ -40,7 +43,7 @@ class DualheadModel(nn.Module):
         super().__init__()
         self.config, self.layout = config, layout
         self.kinematics = KinematicMap(layout.kinematic_map)
-        heads = ("joint", "position", "rotation") if config.rotation_head else ("joint", "position")
+        heads = HEADS if config.rotation_head else HEADS[:2]
         self.head_slices = {head: layout.slices[head] for head in heads}
         self.head_dims = {head: part.stop - part.start for head, part in self.head_slices.items()}
         chunk_dims = {head: config.chunk_size * dim for head, dim in self.head_dims.items()}

@@ -33,13 +33,13 @@ class TokenTable(nn.Module):
         n_tokens: Number of tokens.
         width: Flattened size of what k-means tokens cluster (positions of a window or of a whole transport), or 0.
         displacement_axes: None to cluster absolute positions. d to cluster what a window does, wherever it is: its
-            d-dimensional positions less the first, each axis divided by its standard deviation over the training
-            windows, so that a short axis counts as much as a long one.
+            d-dimensional positions less the first, each axis divided by the positions' standard deviation over the
+            training windows, so that a short axis counts as much as a long one.
 
     Buffers:
         marginal: Frequency of every token in training (n_tokens,).
         centroids: k-means centroids (n_tokens, width), metres, or scaled displacements.
-        axis_scale: Standard deviation of the displacements along each axis (d,), metres; with displacements only.
+        axis_scale: Standard deviation of the positions along each axis (d,), metres; with displacements only.
     """
 
     marginal: Tensor
@@ -71,8 +71,8 @@ class TokenTable(nn.Module):
         """
         rng = np.random.default_rng(seed)
         if self.displacement_axes is not None:
-            moved = _displacement(torch.from_numpy(rows.astype(np.float32)), self.displacement_axes)
-            self.axis_scale.copy_(moved[:, 1:].std(dim=(0, 1)).clamp_min(SMALLEST_SCALE))
+            points = torch.from_numpy(rows.astype(np.float32)).unflatten(1, (-1, self.displacement_axes))
+            self.axis_scale.copy_(points.std(dim=(0, 1)).clamp_min(SMALLEST_SCALE))
         clustered = self._features(torch.from_numpy(rows.astype(np.float32))).numpy()
         if len(rows) > MAX_CLUSTERED_ROWS:
             clustered = clustered[rng.choice(len(rows), MAX_CLUSTERED_ROWS, replace=False)]

@@ -18,6 +18,7 @@ from lerobot.utils.random_utils import set_seed
 
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.flow.loss import flow_loss
 from dualhead_policy.modeling_dualhead import MEASURE_EVERY, DualheadPolicy
 from dualhead_policy.training.checkpoints import had_fresh_paths, write_checkpoint
 from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
@@ -46,6 +47,7 @@ class Training:
                 f"--policy.type={cfg.policy.type if cfg.policy else None} is not 'dualhead': use lerobot-train for "
                 "other policies"
             )
+        _refuse_what_is_not_done(cfg)
         self.cfg = cfg
         seed = cfg.seed if cfg.seed is not None else 0
         set_seed(seed)
@@ -99,9 +101,9 @@ class Training:
             seed,
         )
 
-    def update(self, batch: Batch) -> float:
-        """One optimiser step; returns the loss."""
-        loss, _ = self.policy.compute_loss(batch.observation, batch.action, batch.token)
+    def update(self, batch: Batch) -> tuple[float, float]:
+        """One optimiser step; returns the loss, and the flow-matching losses' share of it."""
+        loss, parts = self.policy.compute_loss(batch.observation, batch.action, batch.token)
         loss.backward()
         assert self.cfg.optimizer is not None
         torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.cfg.optimizer.grad_clip_norm)
@@ -111,7 +113,7 @@ class Training:
             self.scheduler.step()
         self.policy.update()
         self.step += 1
-        return loss.item()
+        return loss.item(), flow_loss(parts).item()
 
     def save(self) -> Path:
         """Write a checkpoint of the current step; returns its ``pretrained_model`` folder."""
@@ -148,19 +150,35 @@ class Training:
             batch = self.source.batch(self.step)
             if self.step % MEASURE_EVERY == 0:
                 log.measure(self.policy.measure(batch.observation, batch.action, batch.token))
-            loss = self.update(batch)
+            loss, flow = self.update(batch)
             if loss != loss:
                 raise ValueError(
                     f"the loss is not a number at step {self.step}: lower policy.optimizer_lr (now {rate}) and "
                     "start again"
                 )
-            log.add(self.step, loss)
+            log.add(self.step, loss, flow)
             if progress is not None:
                 progress(self.step, loss)
             if cfg.save_checkpoint and should_save_checkpoint(self.step, cfg.save_freq, cfg.steps):
                 log.flush(self.step)
                 saved = self.save()
         return saved or self.save()
+
+
+def _refuse_what_is_not_done(cfg: TrainPipelineConfig) -> None:
+    """Refuse settings of ``lerobot-train`` that this trainer would otherwise pass over."""
+    given = {
+        "dataset.episodes": cfg.dataset.episodes,
+        "dataset.eval_split": cfg.dataset.eval_split or None,
+        "dataset.streaming": cfg.dataset.streaming or None,
+        "sample_weighting": cfg.sample_weighting,
+    }
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f"--{name}={value} is not an option of `dualhead train`, which trains on every window of "
+                "--dataset.root: leave it out, give a root that holds the episodes alone, or use lerobot-train"
+            )
 
 
 class TrainingLog:
@@ -172,7 +190,7 @@ class TrainingLog:
         if path.is_file():
             kept = [line for line in path.read_text().splitlines() if line and json.loads(line)["step"] <= step]
         path.write_text("".join(line + "\n" for line in kept))
-        self._losses: list[float] = []
+        self._losses: list[tuple[float, float]] = []
         self._measured: dict[str, dict[str, float]] = {}
         self._since = time.perf_counter()
 
@@ -180,8 +198,8 @@ class TrainingLog:
         """Keep what was measured beside the loss for the next line."""
         self._measured = measured
 
-    def add(self, step: int, loss: float) -> None:
-        self._losses.append(loss)
+    def add(self, step: int, loss: float, flow: float) -> None:
+        self._losses.append((loss, flow))
         if len(self._losses) >= LOG_EVERY:
             self.flush(step)
 
@@ -191,7 +209,8 @@ class TrainingLog:
         seconds = time.perf_counter() - self._since
         line: dict[str, Any] = {
             "step": step,
-            "loss": sum(self._losses) / len(self._losses),
+            "loss": sum(loss for loss, _ in self._losses) / len(self._losses),
+            "flow_loss": sum(flow for _, flow in self._losses) / len(self._losses),
             "steps_per_second": len(self._losses) / seconds,
         }
         line |= self._measured

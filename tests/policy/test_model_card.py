@@ -40,7 +40,7 @@ def test_the_card_pushed_to_a_hub_is_the_folders_own(trained):
         ({"source_noise_beta": 0.0}, "source noise is fully shared"),
         ({"latent": "prior", "latent_dim": 0}, "family C"),
         ({"latent": "posterior"}, "amortised posterior (family E)"),
-        ({"consistency_weight": 3.0}, "lambda = 3, whitened norm"),
+        ({"consistency_weight": 3.0}, "lambda = 3, normalized norm"),
         ({"rotation_head": True, "rotation_consistency_weight": 1.0}, "squared geodesic angle"),
         ({"token": "window", "n_tokens": 4, "token_draw": "learned"}, "4 tokens, k-means on the training windows'"),
     ],

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from torch.distributions import Normal, kl_divergence
 
-from dualhead_policy.flow.consistency import consistency_deviation, position_consistency, rotation_consistency
+from dualhead_policy.flow.consistency import position_consistency, rotation_consistency
 from dualhead_policy.flow.keyed_random import keyed_generator
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.kinematics.panda import panda_position, panda_rotation
@@ -32,15 +32,13 @@ def test_heads_that_agree_have_no_consistency_loss():
     assert rotation_consistency(JOINTS, columns, panda_rotation).item() < 1e-10
 
 
-def test_the_whitened_norm_weighs_a_distance_by_the_targets_spread():
+def test_a_distance_counts_in_the_given_units():
     offset = torch.tensor([0.01, 0.02, -0.03], dtype=torch.float64)
     away = panda_position(JOINTS) + offset
-    meters = position_consistency(JOINTS, away, panda_position, consistency_deviation("meters", torch.ones(3)))
+    meters = position_consistency(JOINTS, away, panda_position, torch.ones(3))
     assert meters.item() == pytest.approx((0.01**2 + 0.02**2 + 0.03**2) / 3)
-    spread = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
-    whitened = position_consistency(JOINTS, away, panda_position, consistency_deviation("whitened", spread))
-    assert whitened.item() == pytest.approx(0.1**2)
-    assert consistency_deviation("whitened", torch.tensor([0.0, 2.0])).tolist() == [1, 2]
+    unit = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
+    assert position_consistency(JOINTS, away, panda_position, unit).item() == pytest.approx(0.1**2)
 
 
 def test_on_a_linear_map_the_consistency_loss_is_a_quadratic_with_a_known_gradient():
