@@ -214,6 +214,11 @@ class DualheadPolicy(PreTrainedPolicy):
                 f"the batch lacks {missing}: expected the preprocessed observations {self.observation_keys}"
             )
         observation = torch.cat([batch[key].flatten(1) for key in self.observation_keys], dim=-1)
+        if not torch.isfinite(observation).all():
+            raise ValueError(
+                f"the observations {self.observation_keys} hold a non-finite value, expected finite ones: check the "
+                "sensor, or drop that frame"
+            )
         return self.model.observed(observation)
 
     # --- sampling ----------------------------------------------------------------------------------------

@@ -21,6 +21,8 @@ class HeadSamples:
         token: Shared token (B, N), or None for a policy without one.
         latent: Shared latent (B, N, dim), or None for a policy without one.
         gripper: The policy's gripper commands (B, H), -1 (open) or +1 (closed), or None without a gripper.
+        diverged: Whether the flow of either head had to be held to the range of the training chunks (B, N), or None
+            for a sampler that cannot diverge.
     """
 
     joint: Tensor
@@ -29,6 +31,7 @@ class HeadSamples:
     token: Tensor | None = None
     latent: Tensor | None = None
     gripper: Tensor | None = None
+    diverged: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from torch import Tensor
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.fitting.configuration import normalized_dimensions
 from dualhead_policy.model.dualhead_model import DualheadModel
-from dualhead_policy.model.observation_range import ObservationRange
 from dualhead_policy.processor_dualhead import observation_stats
 
 #: Windows used at most, evenly spaced; a covariance of 112 dimensions needs no more.
@@ -44,13 +43,42 @@ def fit_scales(
     config = model.config
     normalized = normalized_dimensions(config, model.layout)
     model.action_scale.fit(stats, normalized=normalized, std_floor=config.action_std_floor)
-    if model.observation_range is not None and dataset_meta is not None:
-        _fit_frames(model, model.observation_range, observation_keys, stats, dataset_meta.root)
+    _fit_ranges(model, observation_keys, stats)
+    if model.frames and dataset_meta is not None:
+        _fit_frames(model, observation_keys, stats, dataset_meta.root)
+
+
+def _fit_ranges(model: DualheadModel, observation_keys: Sequence[str], stats: Mapping[str, Mapping[str, Any]]) -> None:
+    """Set the ranges that smallest and largest values of the training data give."""
+    moments = observation_stats(model.config, stats)
+    observed = [_extremes(stats, key, model.action_scale.shift) for key in observation_keys]
+    low, high = (
+        torch.cat([_normalised(pair[side], moments[key]) for key, pair in zip(observation_keys, observed, strict=True)])
+        for side in (0, 1)
+    )
+    model.observation_range.fit(low, high)
+    actions = [model.action_scale.normalize(side) for side in _extremes(stats, "action", model.action_scale.shift)]
+    for head, part in model.head_slices.items():
+        model.endpoint_range(head).fit(*(side[part].repeat(model.config.chunk_size) for side in actions))
+
+
+def _extremes(stats: Mapping[str, Mapping[str, Any]], key: str, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Smallest and largest training value of a feature, per dimension.
+
+    Raises:
+        ValueError: If the statistics lack them, or they are not finite.
+    """
+    sides = [torch.as_tensor(stats.get(key, {}).get(name, torch.nan)).to(like).flatten() for name in ("min", "max")]
+    if not all(torch.isfinite(side).all() for side in sides):
+        raise ValueError(
+            f"the dataset's statistics lack a finite min and max of {key!r}: expected meta/stats.json with both for "
+            "every feature; record the dataset again"
+        )
+    return sides[0], sides[1]
 
 
 def _fit_frames(
     model: DualheadModel,
-    observation_range: ObservationRange,
     observation_keys: Sequence[str],
     stats: Mapping[str, Mapping[str, Any]],
     root: str | Path,
@@ -66,11 +94,12 @@ def _fit_frames(
     moments = observation_stats(config, stats)
     parts = [_normalised(torch.from_numpy(split.observation[key][starts]), moments[key]) for key in observation_keys]
     observation = torch.cat(parts, dim=-1).to(model.action_scale.shift)
-    observation_range.fit(observation)
     windows = torch.from_numpy(split.action[starts[:, None] + np.arange(config.chunk_size)])
     normalised = model.action_scale.normalize(windows.to(model.action_scale.shift))
     for head, part in model.head_slices.items():
-        model.frame(head).fit(observation, normalised[..., part].flatten(1), config.observation_noise or 0.0)
+        frame = model.frame(head).fit(observation, normalised[..., part].flatten(1), config.observation_noise or 0.0)
+        clean = frame.enter(normalised[..., part].flatten(1), observation)
+        model.endpoint_range(head).fit(clean.amin(dim=0), clean.amax(dim=0))
 
 
 def _normalised(observation: Tensor, moments: Mapping[str, Tensor]) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from dualhead_policy.flow.draws import draw_path_points, noisy_chunks
-from dualhead_policy.flow.keyed_random import keyed_generator
+from dualhead_policy.flow.keyed_random import keyed_generator, step_key
 from dualhead_policy.flow.loss import infer_latent
 from dualhead_policy.kinematics.rotation6d import geodesic_angle, matrix_from_columns
 from dualhead_policy.model.dualhead_model import DualheadModel
@@ -41,7 +41,7 @@ def teacher_forced_residuals(
         ``position_mm``, the mean distance between FK of the joint head's and the position head's endpoints; with a
         rotation head ``rotation_deg``, the mean angle between the joint head's and its own.
     """
-    generator = keyed_generator(seed, step, "residual", rank, device=action.device)
+    generator = keyed_generator(*step_key(seed, step, "residual", rank), device=action.device)
     chunks = noisy_chunks(model, observation, action, *draw_path_points(model, action, generator))
     embedding, latent = model.embed(observation), None
     if model.shared_latent is not None:
@@ -81,7 +81,7 @@ def latent_sensitivity(
         seed, step, rank: Seed, training step and process of the run, of which the draws are a function.
     """
     assert model.shared_latent is not None
-    generator = keyed_generator(seed, step, "sensitivity", rank, device=action.device)
+    generator = keyed_generator(*step_key(seed, step, "sensitivity", rank), device=action.device)
     chunks = noisy_chunks(model, observation, action, *draw_path_points(model, action, generator))
     embedding = model.embed(observation)
     contexts = []

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from dualhead_policy.flow.flow_matching import coupled_source_noise, interpolate
-from dualhead_policy.flow.keyed_random import keyed_generator
+from dualhead_policy.flow.keyed_random import keyed_generator, step_key
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.model.tokens import TokenCorruption
 
@@ -70,9 +70,7 @@ def draw_step(
         has_tokens: Whether the windows come with tokens.
     """
     config, device = model.config, action.device
-    key: tuple[int | str, ...] = (seed, step, "train" if model.training else "validate")
-    if rank:
-        key += ("rank", rank)
+    key = step_key(seed, step, "train" if model.training else "validate", rank)
     generator = keyed_generator(*key, device=device)
     time, source = draw_path_points(model, action, generator)
     noise = corruption = latent = None

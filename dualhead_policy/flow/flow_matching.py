@@ -55,3 +55,31 @@ def integrate_euler(velocity: Callable[[Tensor, float], Tensor], source: Tensor,
     for step in range(num_steps):
         x = x + velocity(x, step / num_steps) / num_steps
     return x
+
+
+def integrate_within(
+    velocity: Callable[[Tensor, float], Tensor], source: Tensor, num_steps: int, low: Tensor, high: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Integrate as :func:`integrate_euler` does, the clean endpoint x + (1 - t) v of every step held to a range.
+
+    A step moves x by the fraction dt / (1 - t) <= 1 of its way to that endpoint, so that x never leaves the hull of
+    its source and the range, whatever the field.
+
+    Args:
+        velocity: The field, a function of x (..., d) and t in [0, 1).
+        source: x_0 (..., d).
+        num_steps: Number of steps.
+        low, high: Smallest and largest clean endpoint (d,).
+
+    Returns:
+        x_1 (..., d), and whether an endpoint had to be held (...,).
+    """
+    x = source
+    held = torch.zeros(source.shape[:-1], dtype=torch.bool, device=source.device)
+    for step in range(num_steps):
+        time = step / num_steps
+        endpoint = torch.add(x, velocity(x, time), alpha=1 - time)
+        inside = endpoint.clamp(low, high)
+        held |= (inside != endpoint).any(dim=-1)
+        x = torch.lerp(x, inside, 1 / (num_steps - step))
+    return x, held

@@ -11,6 +11,11 @@ import hashlib
 import torch
 
 
+def step_key(seed: int, step: int, purpose: str, rank: int = 0) -> tuple[int | str, ...]:
+    """The key of a training step's draws: every process of a distributed training makes its own."""
+    return (seed, step, purpose) if rank == 0 else (seed, step, purpose, "rank", rank)
+
+
 def keyed_generator(*key: int | str, device: torch.device | str = "cpu") -> torch.Generator:
     """A generator whose state depends on ``key`` alone.
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from dualhead_policy.flow.coupling import SharedDraws, resolve_shared_draws, resolve_source_noise
-from dualhead_policy.flow.flow_matching import integrate_euler
+from dualhead_policy.flow.flow_matching import integrate_within
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix, matrix_from_columns
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
@@ -37,12 +37,15 @@ def sample_chunks(
     shared = _shared_draws(model, embedding, num_samples, coupling, generator)
     per_chunk = max(1, SAMPLING_ROWS // num_samples)
     heads: dict[str, Tensor] = {}
+    diverged = torch.zeros(leading, dtype=torch.bool, device=observation.device)
     for head in model.head_slices:
         noise = source[head].to(observation.device).flatten(2)
         pieces = []
         for start in range(0, len(observation), per_chunk):
             rows = slice(start, start + per_chunk)
-            pieces.append(_integrate(model, head, noise[rows], embedding[rows], shared[head], rows, num_steps))
+            piece, held = _integrate(model, head, noise[rows], embedding[rows], shared[head], rows, num_steps)
+            pieces.append(piece)
+            diverged[rows] |= held
         heads[head] = model.physical_chunk(head, torch.cat(pieces), observation)
     rotation = heads.get("rotation")
     return HeadSamples(
@@ -52,6 +55,7 @@ def sample_chunks(
         token=shared["joint"].token,
         latent=shared["joint"].latent,
         gripper=None if model.gripper is None else model.gripper.commands(observation),
+        diverged=diverged,
     )
 
 
@@ -92,8 +96,11 @@ def _integrate(
     shared: SharedDraws,
     rows: slice,
     num_steps: int,
-) -> Tensor:
-    """Integrate noise (B, N, H * d) of some rows; embedding (B, ...) is theirs, ``shared`` is of all rows."""
+) -> tuple[Tensor, Tensor]:
+    """Integrate noise (B, N, H * d) of some rows; embedding (B, ...) is theirs, ``shared`` is of all rows.
+
+    Returns clean chunks (B, N, H * d) in the head's frame, and which of them had to be held to its range (B, N).
+    """
     if model.frames:
         noise = model.frame(head).rotate(noise)
     token = None
@@ -117,7 +124,7 @@ def _integrate(
             modulation = [part[index, token] for part in modulation]
         return model.network.velocity(head, x, now, modulation, spread)
 
-    return integrate_euler(velocity, noise, num_steps)
+    return integrate_within(velocity, noise, num_steps, *model.endpoint_range(head).bounds())
 
 
 def numpy_field(field: Callable[[Tensor, float], Tensor], like: Tensor) -> Callable[[np.ndarray, float], np.ndarray]:

@@ -23,6 +23,8 @@ from torch import Tensor, nn
 
 #: Ridge of the regression, against the unit variance of the preprocessed observations.
 RIDGE = 1e-3
+#: How far beyond its training range the mean of a chunk may move, in widths of that range.
+MEAN_MARGIN = 0.5
 
 
 class ChunkFrame(nn.Module):
@@ -32,12 +34,17 @@ class ChunkFrame(nn.Module):
         slope (C, H * d), offset (H * d,): Mean of the normalised chunk given the preprocessed observation.
         basis (H * d, H * d): Q, one eigenvector a column.
         spread (H * d,): Standard deviations along them.
+        mean_low, mean_high (H * d,): Range of m(c) over the training windows, with a margin. The features of a motion
+            are collinear: off their manifold, inside the box of the training observations, the regression could
+            extrapolate by more than all that it was fitted to.
     """
 
     slope: Tensor
     offset: Tensor
     basis: Tensor
     spread: Tensor
+    mean_low: Tensor
+    mean_high: Tensor
 
     def __init__(self, observation_dim: int, chunk_dim: int):
         super().__init__()
@@ -45,6 +52,8 @@ class ChunkFrame(nn.Module):
         self.register_buffer("offset", torch.zeros(chunk_dim))
         self.register_buffer("basis", torch.eye(chunk_dim))
         self.register_buffer("spread", torch.ones(chunk_dim))
+        self.register_buffer("mean_low", torch.full((chunk_dim,), -torch.inf))
+        self.register_buffer("mean_high", torch.full((chunk_dim,), torch.inf))
 
     @torch.no_grad()
     def fit(self, observation: Tensor, chunk: Tensor, noise: float = 0.0) -> ChunkFrame:
@@ -69,11 +78,15 @@ class ChunkFrame(nn.Module):
         self.offset.copy_(middle - centre @ slope)
         self.basis.copy_(basis)
         self.spread.copy_(variance.clamp(min=0).sqrt())
+        mean = inputs @ slope + middle
+        low, high = mean.amin(dim=0), mean.amax(dim=0)
+        self.mean_low.copy_(low - MEAN_MARGIN * (high - low))
+        self.mean_high.copy_(high + MEAN_MARGIN * (high - low))
         return self
 
     def mean(self, observation: Tensor) -> Tensor:
         """m(c): normalised chunks (B, H * d) for preprocessed observations (B, C)."""
-        return observation @ self.slope + self.offset
+        return (observation @ self.slope + self.offset).clamp(self.mean_low, self.mean_high)
 
     def enter(self, chunk: Tensor, observation: Tensor) -> Tensor:
         """y_1 of flattened normalised chunks (B, H * d)."""

@@ -9,6 +9,7 @@ from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.model.action_scale import ActionScale
 from dualhead_policy.model.chunk_frame import ChunkFrame
+from dualhead_policy.model.endpoint_range import EndpointRange
 from dualhead_policy.model.gripper import GripperOutput
 from dualhead_policy.model.latent import CODE_DIM, SharedLatent
 from dualhead_policy.model.network import DualheadNetwork
@@ -50,7 +51,8 @@ class DualheadModel(nn.Module):
         framed = config.preconditioning == "linear_gaussian"
         self.action_scale = ActionScale(len(layout.names))
         self.frames = nn.ModuleDict({h: ChunkFrame(observation_dim, n) for h, n in chunk_dims.items() if framed})
-        self.observation_range = ObservationRange(observation_dim) if framed else None
+        self.endpoint_ranges = nn.ModuleDict({head: EndpointRange(n) for head, n in chunk_dims.items()})
+        self.observation_range = ObservationRange(observation_dim)
         self.tokens = tokens
         self.network = DualheadNetwork(
             observation_dim,
@@ -73,17 +75,21 @@ class DualheadModel(nn.Module):
 
     @property
     def scales(self) -> nn.ModuleDict:
-        """What is fitted to the training data's statistics: action scale, chunk frames, observation range."""
-        scales = nn.ModuleDict({"action_scale": self.action_scale, "frames": self.frames})
-        if self.observation_range is not None:
-            scales["observation_range"] = self.observation_range
-        return scales
+        """What is fitted to the training data: action scale, chunk frames, ranges of endpoints and observations."""
+        return nn.ModuleDict(
+            {
+                "action_scale": self.action_scale,
+                "frames": self.frames,
+                "endpoint_ranges": self.endpoint_ranges,
+                "observation_range": self.observation_range,
+            }
+        )
 
     # --- what the heads see ----------------------------------------------------------------------------------
 
     def observed(self, observation: Tensor) -> Tensor:
-        """Preprocessed observations (B, C) as the model uses them: held to the training range, where it has one."""
-        return observation if self.observation_range is None else self.observation_range(observation)
+        """Preprocessed observations (B, C) as the model uses them: held to the training range."""
+        return self.observation_range(observation)
 
     def embed(self, observation: Tensor) -> Tensor:
         """E(c), (B, encoder_dim), of observations (B, C)."""
@@ -126,6 +132,12 @@ class DualheadModel(nn.Module):
         frame = self.frames[head]
         assert isinstance(frame, ChunkFrame)
         return frame
+
+    def endpoint_range(self, head: str) -> EndpointRange:
+        """The range of a head's training chunks, in the coordinates in which its field works."""
+        endpoints = self.endpoint_ranges[head]
+        assert isinstance(endpoints, EndpointRange)
+        return endpoints
 
     def spread(self, head: str) -> Tensor:
         """Standard deviations (H * d,) of the data in the coordinates in which the head's field works."""

@@ -1,7 +1,7 @@
 """The range of observations that a policy was trained on, beyond which it does not extrapolate.
 
-The mean of a chunk frame is linear in the observation. In closed loop an arm that has hit something can show
-observations dozens of standard deviations away; targets that grow with them would drive the robot further out.
+Networks, and the mean of a chunk frame, grow with the observation. In closed loop an arm that has hit something can
+show observations dozens of standard deviations away; targets that grow with them would drive the robot further out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ MARGIN = 1.0
 
 
 class ObservationRange(nn.Module):
-    """Smallest and largest preprocessed observation of the training windows, per dimension.
+    """Smallest and largest preprocessed observation of the training data, per dimension.
 
     Buffers:
         low, high (C,): The range, without the margin.
@@ -29,10 +29,10 @@ class ObservationRange(nn.Module):
         self.register_buffer("high", torch.full((observation_dim,), torch.inf))
 
     @torch.no_grad()
-    def fit(self, observation: Tensor) -> None:
-        """Fit to the training observations (N, C)."""
-        self.low.copy_(observation.amin(dim=0))
-        self.high.copy_(observation.amax(dim=0))
+    def fit(self, low: Tensor, high: Tensor) -> None:
+        """Set the range to the smallest and largest training observation (C,)."""
+        self.low.copy_(low)
+        self.high.copy_(high)
 
     def forward(self, observation: Tensor) -> Tensor:
         """Observations (..., C) moved into the range and its margin; those of the training data stay as they are."""

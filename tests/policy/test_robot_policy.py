@@ -330,7 +330,10 @@ def test_a_walk_along_the_velocity_field_ends_where_sampling_does(build, batch, 
     clean = torch.from_numpy(x).flatten(1)
     clean = clean if frame is None else frame.rotate(clean)
     expected = policy.model.physical_chunk(head, clean, policy._observation(batch))
-    assert torch.allclose(getattr(drawn, head)[:, 0], expected, atol=1e-4)
+    # Samples whose flow was held to the training range leave the bare field behind.
+    free = ~drawn.diverged[:, 0]
+    assert free.any()
+    assert torch.allclose(getattr(drawn, head)[free, 0], expected[free], atol=1e-4)
     # The same member twice does not disagree with itself.
     assert vfd_score([field, field], noise[head][:, 0].numpy(), num_steps=3).max() == 0
 
