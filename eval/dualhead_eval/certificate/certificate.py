@@ -25,7 +25,7 @@ from dualhead_eval.certificate.state import (
     write_state,
 )
 from dualhead_eval.effects.counts import INVALID, validate_labels
-from dualhead_eval.statistics.bootstrap import Interval
+from dualhead_eval.statistics.interval import Interval
 
 
 class CoordinationCertificate:

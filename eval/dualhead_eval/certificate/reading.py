@@ -7,8 +7,8 @@ from math import isnan, nan, sqrt
 
 from dualhead_eval.certificate.pooled_bounds import effect_bounds, gini_bounds
 from dualhead_eval.certificate.state import CertificateState
-from dualhead_eval.statistics.bootstrap import Interval
 from dualhead_eval.statistics.confidence_sequence import RunningMean
+from dualhead_eval.statistics.interval import Interval
 
 VERDICTS = ("insufficient", "uncoordinated", "coordinated", "anti-coordinated", "collapsed", "low-validity")
 

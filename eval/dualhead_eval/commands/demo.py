@@ -1,9 +1,11 @@
-"""``dualhead demo``: the whole line once, in minutes."""
+"""``dualhead demo``: the whole pipeline once, in minutes."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+
+from dualhead_eval.commands.console import open_console
 
 DESCRIPTION = """\
 Record demonstrations, train a handful of policies, evaluate them beside the exact reference, and print one table
@@ -46,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_policy.quiet import quiet_libraries
 
     quiet_libraries()
+    from dualhead_eval.report.content import make_report
     from dualhead_eval.report.figures.region import draw_region
     from dualhead_eval.studies.demo_table import story_table
     from dualhead_eval.studies.plan import PLANS
@@ -74,11 +77,9 @@ def run(args: argparse.Namespace) -> int:
         results = demo.evaluate()
     with stage(demo.console, 4, 4, "Draw the attainable region."):
         figure = root / "region.png"
-        draw_region([trained for _, trained, _ in results], figure)
+        draw_region(make_report([trained for _, trained, _ in results]), figure)
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=140)
+    console = open_console()
     console.print(story_table(results))
     console.print(f"figure:     {figure}")
     console.print(f"gate files: {root / 'gates'}   (dualhead report {root / 'gates'}/*.gate.json)")

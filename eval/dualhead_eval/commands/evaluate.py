@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dualhead_eval.commands.console import open_console, refuse_overwrite
+
 if TYPE_CHECKING:
     from dualhead_eval.gate.gate import Gate
 
@@ -68,8 +70,7 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: If an input does not exist.
         ValueError: If an input or option is unusable.
     """
-    if args.output.exists() and not args.overwrite:
-        raise FileExistsError(f"{args.output} exists: choose another name or add --overwrite")
+    refuse_overwrite([args.output], overwrite=args.overwrite)
     for name, value in [("--pairs", args.pairs), *(("--nfe", n) for n in args.nfe)]:
         if value < 1:
             raise ValueError(f"{name} {value} is not positive: give at least 1")
@@ -80,7 +81,9 @@ def run(args: argparse.Namespace) -> int:
 
     quiet_libraries()
     from dualhead_eval.gate.gate import write_gate
-    from dualhead_eval.report.content import render_table
+    from dualhead_eval.report.content import make_report
+    from dualhead_eval.report.tables import effects_table
+    from dualhead_eval.report.terminal import render_table
 
     if args.update_card and (not args.policy or args.record is not None):
         raise ValueError("--update-card writes sampled numbers into a policy's card: give --policy without --record")
@@ -93,12 +96,8 @@ def run(args: argparse.Namespace) -> int:
 
         print(f"numbers written to {write_card_numbers(args.policy, gate)}")
 
-    from rich.console import Console
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=140)
-    console.print(render_table([gate]))
+    console = open_console()
+    console.print(render_table(effects_table(make_report([gate]))))
     console.print(f"gate file: {args.output}")
     return 0
 

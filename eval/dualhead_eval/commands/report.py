@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from dualhead_eval.commands.console import open_console, refuse_overwrite
 
-    from dualhead_eval.gate.gate import Gate
-    from dualhead_eval.report.content import Row
+if TYPE_CHECKING:
+    from dualhead_eval.report.content import Report
 
 DESCRIPTION = "Turn gate files into a table, JSON and figures, or print a recorded dataset's geometry card."
 
@@ -44,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also print the runs beside the paper's rows, and its claims graded (default: for folders of gate files)",
     )
     parser.add_argument(
-        "--every-quantity", action="store_true", help="with --paper: every quantity of every row, with intervals"
+        "--every-quantity",
+        action="store_true",
+        help="also print the residual's parts and, with --paper, every quantity of every row with intervals",
     )
     parser.add_argument(
         "--normalised",
@@ -66,92 +68,55 @@ def run(args: argparse.Namespace) -> int:
         ValueError: If an input is not a gate file or a dataset.
     """
     outputs = [args.json, args.figure, args.figures, args.html]
-    for output in outputs:
-        if output is not None and output.exists() and not args.overwrite:
-            raise FileExistsError(f"{output} exists: choose another name or add --overwrite")
-
-    from rich.console import Console
+    refuse_overwrite(outputs, overwrite=args.overwrite)
 
     from dualhead_envs.recording.card_table import render_card
-    from dualhead_eval.atomic_text import write_text
-    from dualhead_eval.evaluation.rollouts import render_closed_loop
-    from dualhead_eval.report.content import explanation, render_table, report_json, report_rows
+    from dualhead_eval.report.content import make_report
     from dualhead_eval.report.inputs import read_inputs
-    from dualhead_eval.report.tables import render_all_heads, render_families
+    from dualhead_eval.report.tables import paper_tables, report_tables
+    from dualhead_eval.report.terminal import render_table
 
-    console = Console()
-    if not console.is_terminal:
-        # A pipe or a file has no width of its own; the table needs about this much.
-        console = Console(width=140)
+    console = open_console()
     inputs = read_inputs(args.inputs)
     for folder, card in inputs.cards.items():
         console.print(render_card(card, title=f"Geometry card of {folder}"))
-    gates = inputs.gates
-    if not gates:
-        if any(output is not None for output in outputs):
-            raise ValueError("no gate file was given, expected at least one for the outputs asked for: add GATE files")
-        if inputs.loops:
-            console.print(render_closed_loop(inputs.loops))
-        return 0
-    rows = report_rows(gates, tau=args.tau, nfe=args.nfe)
-    console.print(render_table(rows, explain=False))
-    for table in (render_families(gates, rows), render_all_heads(gates)):
-        if table is not None:
-            console.print(table)
-    console.print(explanation())
-    if args.json is not None:
-        write_text(args.json, json.dumps(report_json(rows), indent=2, allow_nan=False) + "\n")
-        console.print(f"numbers written to {args.json}")
-    if args.figure is not None:
-        from dualhead_eval.report.figures.region import draw_region
-
-        draw_region([row.summary for row in rows], args.figure, normalised=args.normalised)
-        console.print(f"attainable region drawn in {args.figure}")
+    if not inputs.gates and any(output is not None for output in outputs):
+        raise ValueError("no gate file was given, expected at least one for the outputs asked for: add GATE files")
+    report = make_report(inputs.gates, inputs.loops, tau=args.tau, nfe=args.nfe)
+    tables = report_tables(report)
     if args.paper or (args.paper is None and inputs.from_folder):
-        _print_beside_paper(console, gates, rows, every_quantity=args.every_quantity)
-    if inputs.loops:
-        console.print(render_closed_loop(inputs.loops))
-    if args.figures is not None or args.html is not None:
-        _draw_and_write(gates, rows, args)
-        for output in (args.figures, args.html):
-            if output is not None:
-                console.print(f"written to {output}")
+        tables += paper_tables(report)
+    for table in tables:
+        if args.every_quantity or not table.every_quantity:
+            console.print(render_table(table))
+    for written in _write(report, args):
+        console.print(f"written to {written}")
     return 0
 
 
-def _print_beside_paper(console: Console, gates: list[Gate], rows: list[Row], *, every_quantity: bool) -> None:
-    from dualhead_eval.paper.comparison import compare_sites, render_sites
-    from dualhead_eval.report.tables import render_claims, render_comparisons
+def _write(report: Report, args: argparse.Namespace) -> Iterator[Path]:
+    """Write the files asked for, every figure drawn once; yields each path."""
+    if args.json is not None:
+        from dualhead_eval.atomic_text import write_text
+        from dualhead_eval.report.content import report_json
 
-    sites = compare_sites(gates, rows)
-    console.print()
-    if sites:
-        console.print(render_sites(sites))
-    else:
-        console.print("None of these runs has the setting of a row in the paper.")
-    if every_quantity:
-        console.print()
-        console.print(render_comparisons(gates, rows))
-    console.print()
-    console.print(render_claims(gates))
+        write_text(args.json, json.dumps(report_json(report), indent=2, allow_nan=False) + "\n")
+        yield args.json
+    if args.figure is not None:
+        from dualhead_eval.report.figures.region import draw_region
 
-
-def _draw_and_write(gates: list[Gate], rows: list[Row], args: argparse.Namespace) -> None:
-    """Draw every figure once, for the folder of PNGs, the page, or both."""
-    from dualhead_eval.atomic_text import write_text
+        yield draw_region(report, args.figure, normalised=args.normalised)
+    if args.figures is None and args.html is None:
+        return
+    from dualhead_eval.atomic_text import write_bytes, write_text
     from dualhead_eval.report.figures.figures import report_figures
+    from dualhead_eval.report.page import report_page
 
-    figures = report_figures(gates, rows, normalised=args.normalised)
+    figures = report_figures(report, normalised=args.normalised)
     if args.figures is not None:
-        args.figures.mkdir(parents=True, exist_ok=True)
         for name, png in figures.items():
-            (args.figures / f"{name}.png").write_bytes(png)
+            write_bytes(args.figures / f"{name}.png", png)
+        yield args.figures
     if args.html is not None:
-        from dualhead_eval.paper.claims import grade_claims
-        from dualhead_eval.paper.comparison import compare_sites
-        from dualhead_eval.paper.numbers import compare_with_paper
-        from dualhead_eval.report.page import report_page
-
-        comparisons, sites = compare_with_paper(gates, rows), compare_sites(gates, rows)
-        page = report_page(gates, rows, figures, comparisons, sites, grade_claims(gates))
-        write_text(args.html, page)
+        write_text(args.html, report_page(report, figures))
+        yield args.html

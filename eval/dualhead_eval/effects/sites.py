@@ -19,6 +19,8 @@ CORNER_RHO = 0.85
 CORNER_CAPACITY = 0.80
 #: Relative capacity below which a run is near the origin.
 ORIGIN_CAPACITY = 0.20
+#: What the sites are called where the paper speaks of them.
+SITE_NAMES = {"I": "floor", "II": "origin", "III": "interior", "IV": "corner", "-": "negative", "?": "unknown"}
 
 
 class Occupancy(Enum):

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.paper.numbers import residual_mm
-from dualhead_eval.report.content import report_rows
+from dualhead_eval.gate import Gate
+from dualhead_eval.statistics.run_summary import residual_mm, summarise_run
 from dualhead_policy.pretrained import load_policy, policy_folder
 
 
 def card_numbers(gate: Gate) -> dict[str, float]:
     """What a card says of an evaluation: the first two heads at the reference threshold and integration steps."""
-    row = next(row for row in report_rows([gate]) if row.first_pair)
-    summary = row.summary
+    summary = summarise_run(gate)
     numbers = {
         "conditions": gate.n_conditions,
         "sample pairs per condition": int(gate.table()[0].sum()),

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from scipy.stats import binomtest
 
-from dualhead_eval.statistics.bootstrap import Interval
+from dualhead_eval.statistics.interval import Interval
 
 #: Format of a rollout dataset's ``meta/dualhead.json``.
 ROLLOUTS_FORMAT = "dualhead-rollouts/1"
@@ -97,20 +95,3 @@ def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
     name = path.name.removesuffix(ROLLOUTS_SUFFIX)
     step = sidecar.get("policy", {}).get("training_step")
     return (f"{name}, {step} steps" if step else name), loop
-
-
-def render_closed_loop(loops: Sequence[tuple[str, ClosedLoop]]) -> Table:
-    """One line for each of the named outcomes."""
-    title = "Closed loop (in brackets the 95% Wilson interval)"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("run", overflow="fold", min_width=12)
-    table.add_column("environment", no_wrap=True)
-    table.add_column("driving", no_wrap=True)
-    for name in ("episodes", "success", "collision"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for label, loop in loops:
-        bounds = loop.success_interval
-        success = f"{loop.success_rate:.1%} [{100 * bounds.low:.1f},{100 * bounds.high:.1f}]"
-        collision = f"{loop.collisions / loop.episodes:.1%}"
-        table.add_row(label, loop.env_id, loop.control, str(loop.episodes), success, collision)
-    return table

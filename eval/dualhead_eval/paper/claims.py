@@ -1,6 +1,6 @@
-"""The claims of tab:claims, graded on whatever gates are given.
+"""The claims of tab:claims, graded on whatever runs are given.
 
-A grade says what these gates show, by the criterion named beside it; a claim whose runs are missing is not
+A grade says what these runs show, by the criterion named beside it; a claim whose runs are missing is not
 graded. Nothing here pools seeds before the effect is formed.
 """
 
@@ -16,10 +16,9 @@ import numpy as np
 from dualhead_eval.effects.contingency import coordination
 from dualhead_eval.effects.counts import both_valid, pair_counts
 from dualhead_eval.effects.sites import Occupancy
-from dualhead_eval.gate.gate import Gate
 from dualhead_eval.paper.mechanism import Mechanism, mechanism_of
-from dualhead_eval.report.content import READABLE_VALID_RATE
-from dualhead_eval.statistics.run_summary import RunSummary, summarise_run
+from dualhead_eval.statistics.run import Run
+from dualhead_eval.statistics.run_summary import RunSummary
 from dualhead_eval.statistics.seeds import interaction_test
 
 #: Map dependence counts as shown when the signs differ and the spread exceeds this (the paper: 90 points).
@@ -28,7 +27,7 @@ MAP_SPREAD = 0.10
 
 @dataclass(frozen=True)
 class Grade:
-    """One claim and what the gates say about it.
+    """One claim and what the runs say about it.
 
     Attributes:
         claim: The claim, as in tab:claims.
@@ -49,21 +48,17 @@ class _Run:
     mechanism: Mechanism
 
 
-def grade_claims(gates: Sequence[Gate]) -> list[Grade]:
+def grade_claims(given: Sequence[Run]) -> list[Grade]:
     """Grades of every claim of tab:claims, in its order.
 
     Runs whose valid-pair rate is too low for their partition are left out of every claim but the first.
     """
-    runs: list[_Run] = []
-    for gate in gates:
-        summary = summarise_run(gate)
-        if summary.valid_rate >= READABLE_VALID_RATE.get(str(gate.partition.get("name")), 0.0):
-            runs.append(_Run(summary, mechanism_of(gate)))
+    runs = [_Run(run.first, mechanism_of(run.gate)) for run in given if run.first.readable]
     # References have no seed and stand in only where nothing was trained.
     runs = [run for run in runs if not run.mechanism.reference] or runs
-    external = "the external benchmark's traces are not among the gates"
+    external = "the external benchmark's traces are not among the runs"
     return [
-        _bound(gates),
+        _bound(given),
         _auxiliary_latent(runs),
         _shared_noise(runs),
         _consistency(runs),
@@ -80,11 +75,12 @@ def grade_claims(gates: Sequence[Gate]) -> list[Grade]:
     ]
 
 
-def _bound(gates: Sequence[Gate]) -> Grade:
+def _bound(runs: Sequence[Run]) -> Grade:
     tables = violations = 0
-    for gate in gates:
-        for first, second in combinations(range(len(gate.heads)), 2):
-            effect = coordination(both_valid(pair_counts(gate.counts, len(gate.heads), first, second)))
+    for run in runs:
+        heads, counts = len(run.gate.heads), run.gate.counts
+        for first, second in combinations(range(heads), 2):
+            effect = coordination(both_valid(pair_counts(counts, heads, first, second)))
             defined = effect.n > 0
             tables += int(defined.sum())
             outside = (np.abs(effect.delta) > effect.capacity) | (effect.delta > effect.capacity_tight)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dualhead_eval.gate.gate import Gate
+from dualhead_eval.gate import Gate
 
 #: Partition name to the paper's environment prefix.
 ENVIRONMENTS = {"ring": "testbed", "bypass-v2": "v2", "rotating-v3": "v3"}

@@ -1,195 +1,168 @@
-"""From gate files to a table that a newcomer can read: pure functions, no files.
-
-One row per run and pair of heads, at the gate's reference threshold and integration steps unless told
-otherwise. Every number is recomputed from the counts.
-"""
+"""The content of a report, computed once at one operating point: what every table, figure and page reads."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from itertools import combinations
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
+import numpy as np
 
-from dualhead_eval.effects.sites import Occupancy
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.statistics.bootstrap import Interval
-from dualhead_eval.statistics.run_summary import FEW_PAIRS, RunSummary, summarise_run
+from dualhead_eval.evaluation.rollouts import ClosedLoop
+from dualhead_eval.gate import Gate
+from dualhead_eval.paper.claims import Grade, grade_claims
+from dualhead_eval.paper.comparison import Comparison, compare_with_paper
+from dualhead_eval.paper.sites import SiteComparison, compare_sites
+from dualhead_eval.statistics.family_summary import FamilySummary, find_families
+from dualhead_eval.statistics.run import Run, open_runs
+from dualhead_eval.statistics.run_summary import RunSummary
+from dualhead_eval.statistics.seeds import benjamini_hochberg
+from dualhead_eval.statistics.sensitivity import SensitivityCurve, curves
 
-#: Valid-pair rate below which a run cannot be read, by partition. On the ring every expert path is valid,
-#: so invalid samples mean an under-trained sampler, whose survivors inflate |rho|; on the robots they are
-#: ordinary.
-READABLE_VALID_RATE = {"ring": 0.95}
-
-RHO = "\N{GREEK SMALL LETTER RHO}"
-
-EXPLANATION = (
-    (
-        "valid",
-        "share of sampled pairs in which both heads reach a mode; everything to its right is about these",
-    ),
-    (
-        "C",
-        "how much the heads could coordinate, given how varied each one is (0: one mode only, 1 - 1/K: all)",
-    ),
-    ("Δ", "how much more often than chance they choose the same mode (negative: less often)"),
-    (RHO, "Δ / C: 0 independent, 1 always together; in brackets the 95% interval over conditions"),
-    (
-        f"{RHO} = 0?",
-        f"whether |{RHO}| < 2% is established (two one-sided tests at 5%), and the smallest band that is",
-    ),
-)
+#: Partition name to what an environment is called on the command line.
+ENVIRONMENTS = {"ring": "ring", "bypass-v2": "v2", "rotating-v3": "v3"}
 
 
 @dataclass(frozen=True)
-class Row:
-    """One line of the report.
+class Report:
+    """Everything that a report says.
 
     Attributes:
-        summary: The run's statistics for one pair of heads.
-        partition: Name of the mode partition.
-        readable: False if the valid-pair rate is too low for this partition to read rho.
-        first_pair: Whether this is the gate's first pair of heads.
+        runs: Every gate with the summaries of its pairs of heads, residuals and agreement of all heads.
+        families: Mechanisms of which several seeds are among the runs.
+        loops: Closed-loop outcomes by name; they depend on no threshold and no number of steps.
+        comparisons: Our numbers beside the paper's, for runs at their reference point.
+        sites: Sites beside the paper's, for runs at their reference point.
+        claims: The paper's claims graded on the runs.
+        tau: Threshold asked for, None for each gate's reference.
+        nfe: Integration steps asked for, None for each gate's reference.
     """
 
-    summary: RunSummary
-    partition: str
-    readable: bool
-    first_pair: bool = True
+    runs: tuple[Run, ...]
+    families: tuple[FamilySummary, ...]
+    loops: tuple[tuple[str, ClosedLoop], ...]
+    comparisons: tuple[Comparison, ...]
+    sites: tuple[SiteComparison, ...]
+    claims: tuple[Grade, ...]
+    tau: float | None = None
+    nfe: int | None = None
 
     @property
-    def reading(self) -> str:
-        """What the row says, in plain words."""
-        summary = self.summary
-        if not self.readable:
-            limit = READABLE_VALID_RATE[self.partition]
-            return f"not yet readable: valid-pair rate below {limit:.2f}"
-        if summary.occupancy is Occupancy.UNKNOWN:
-            return f"not estimable: {summary.reason.split(':')[0]}"
-        if summary.reason:
-            return "collapsed: a head chose one mode in every condition"
-        test = summary.equivalence
-        if summary.occupancy is Occupancy.FLOOR and not test.equivalent:
-            return f"uncoordinated within ±{test.width:.1%} (I)"
-        if 0.0 in summary.intervals["rho"] and not test.equivalent:
-            return f"unclear: the sign of {RHO} is not established"
-        return f"{summary.occupancy.word} ({summary.occupancy.site})"
+    def pairs(self) -> tuple[RunSummary, ...]:
+        """Every pair of heads of every run."""
+        return tuple(pair for run in self.runs for pair in run.pairs)
+
+    @property
+    def reference_only(self) -> str:
+        """Why runs do not stand beside the paper's rows; empty if all are at their reference point."""
+        away = [run for run in self.runs if not run.at_reference]
+        if not away:
+            return ""
+        first = away[0]
+        return (
+            f"The paper's rows hold at the reference point alone (tau {first.gate.reference_tau:g}, "
+            f"{first.gate.reference_nfe} steps): {len(away)} of {len(self.runs)} runs are reported at another "
+            f"(tau {first.first.tau:g}, {first.first.nfe} steps) and do not stand beside them."
+        )
+
+    @cached_property
+    def tau_curves(self) -> list[SensitivityCurve]:
+        """Effects against the threshold, at the report's number of steps."""
+        return self._curves("tau")
+
+    @cached_property
+    def nfe_curves(self) -> list[SensitivityCurve]:
+        """Effects against the number of steps, at the report's threshold."""
+        return self._curves("nfe")
+
+    def _curves(self, axis: str) -> list[SensitivityCurve]:
+        names = {id(run.gate): run.name for run in self.runs}
+        gates = [run.gate for run in self.runs if len(run.gate.taus if axis == "tau" else run.gate.nfes) > 1]
+        return [
+            replace(curve, label=names[id(gate)])
+            for gate in gates
+            for curve in curves([gate], axis, tau=self.tau, nfe=self.nfe)
+        ]
 
 
-def report_rows(gates: Iterable[Gate], *, tau: float | None = None, nfe: int | None = None) -> list[Row]:
-    """Rows of the report: every pair of heads of every gate.
+def make_report(
+    gates: Sequence[Gate],
+    loops: Iterable[tuple[str, ClosedLoop]] = (),
+    *,
+    tau: float | None = None,
+    nfe: int | None = None,
+) -> Report:
+    """Compute a report.
+
+    Args:
+        gates: The runs.
+        loops: Closed-loop outcomes by name.
+        tau: Threshold of the partition, by default each gate's reference.
+        nfe: Integration steps, by default each gate's reference.
 
     Raises:
         KeyError: If a gate does not hold the threshold or the number of steps asked for.
     """
-    rows = []
-    for gate in gates:
-        partition = str(gate.partition.get("name", ""))
-        for pair in combinations(range(len(gate.heads)), 2):
-            summary = summarise_run(gate, heads=pair, tau=tau, nfe=nfe)
-            enough = summary.valid_rate >= READABLE_VALID_RATE.get(partition, 0.0)
-            rows.append(Row(summary, partition, enough, pair == (0, 1)))
-    return rows
-
-
-def render_table(gates: Sequence[Gate] | Sequence[Row], *, explain: bool = True) -> Group:
-    """A rich table of the runs, with a line per column underneath.
-
-    What all runs share (K, threshold, integration steps) stands in the title instead of in columns.
-
-    Args:
-        gates: Gates, or rows from :func:`report_rows`.
-        explain: Print what each column means.
-    """
-    rows = [item for item in gates if isinstance(item, Row)]
-    rows += report_rows(item for item in gates if isinstance(item, Gate))
-    point = {
-        "K": [str(row.summary.n_modes) for row in rows],
-        "τ": [f"{row.summary.tau:g}" for row in rows],
-        "NFE": [str(row.summary.nfe) for row in rows],
-        "heads": [" / ".join(row.summary.heads) for row in rows],
-    }
-    varying = {name: cells for name, cells in point.items() if len(set(cells)) > 1}
-    shared = ", ".join(f"{name} = {cells[0]}" for name, cells in point.items() if cells and name not in varying)
-    table = Table(
-        title="Do the heads choose modes together?" + (f"\n({shared})" if shared else ""),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
+    runs = _adjusted(_named(open_runs(gates, tau=tau, nfe=nfe)))
+    return Report(
+        runs=tuple(runs),
+        families=tuple(find_families(runs)),
+        loops=tuple(loops),
+        comparisons=tuple(compare_with_paper(runs)),
+        sites=tuple(compare_sites(runs)),
+        claims=tuple(grade_claims(runs)),
+        tau=tau,
+        nfe=nfe,
     )
-    table.add_column("run", overflow="fold", min_width=11)
-    for name in varying:
-        table.add_column(name, justify="right", overflow="fold")
-    for name in ("valid", "C", "Δ"):
-        table.add_column(name, justify="right", no_wrap=True)
-    # No spaces inside an interval: on a narrow terminal it moves to a second line as a whole.
-    table.add_column(f"{RHO} [95%]", justify="right", min_width=15)
-    table.add_column(f"{RHO} = 0?", min_width=7)
-    table.add_column("reading", overflow="fold", min_width=12)
-    for index, row in enumerate(rows):
-        s = row.summary
-        name = s.label + ("*" if s.estimator == "unbiased" else "")
-        cells: list[str | Text] = [name, *(column[index] for column in varying.values()), f"{s.valid_rate:.3f}"]
-        cells += [_number(s.capacity, ".4f"), _number(s.delta, "+.4f"), _with_interval(s.rho, s.intervals["rho"])]
-        cells += [_equivalence(s), Text(row.reading, style="" if row.readable else "bold yellow")]
-        table.add_row(*cells)
-    parts: list[Table | str] = [table]
-    if any(row.summary.estimator == "unbiased" for row in rows):
-        parts.append(f"* fewer than {FEW_PAIRS} pairs a condition: unbiased estimates, which can leave [-1, 1]")
-    return Group(*parts, explanation()) if explain else Group(*parts)
 
 
-def report_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
-    """The rows as plain JSON objects; undefined numbers are null."""
+def _named(runs: Sequence[Run]) -> list[Run]:
+    """Runs with names that differ: the environment where there are several, a number where labels collide."""
+    several_environments = len({run.first.partition for run in runs}) > 1
+    several_pairs = len({pair.heads for run in runs for pair in run.pairs}) > 1
+    labels = []
+    for run in runs:
+        environment = ENVIRONMENTS.get(run.first.partition, run.first.partition or "elsewhere")
+        labels.append(f"{environment} {run.label}" if several_environments else run.label)
+    repeated, seen, named = Counter(labels), Counter[str](), []
+    for run, label in zip(runs, labels, strict=True):
+        seen[label] += 1
+        name = f"{label} #{seen[label]}" if repeated[label] > 1 else label
+        pairs = tuple(
+            replace(pair, name=f"{name} ({'-'.join(pair.heads)})" if several_pairs else name) for pair in run.pairs
+        )
+        named.append(replace(run, name=name, pairs=pairs))
+    return named
+
+
+def _adjusted(runs: Sequence[Run]) -> list[Run]:
+    """Runs whose p-values are adjusted together: every pair of heads whose rho is defined is one family of tests."""
+    p_values = np.array([pair.p_value for run in runs for pair in run.pairs])
+    defined = np.isfinite(p_values)
+    if defined.any():
+        p_values[defined] = benjamini_hochberg(p_values[defined])
+    adjusted = iter(p_values.tolist())
+    return [
+        replace(run, pairs=tuple(replace(pair, adjusted_p_value=next(adjusted)) for pair in run.pairs)) for run in runs
+    ]
+
+
+def report_json(report: Report) -> list[dict[str, Any]]:
+    """One JSON object for every pair of heads of every run; undefined numbers are null."""
     objects = []
-    for row in rows:
-        summary = asdict(row.summary)
+    for pair in report.pairs:
+        summary = asdict(pair)
         summary["occupancy"] = {
-            "site": row.summary.occupancy.site,
-            "word": row.summary.occupancy.word,
-            "meaning": row.summary.occupancy.meaning,
+            "site": pair.occupancy.site,
+            "word": pair.occupancy.word,
+            "meaning": pair.occupancy.meaning,
         }
-        summary |= {"partition": row.partition, "readable": row.readable, "reading": row.reading}
-        summary["equivalence"]["verdict"] = row.summary.equivalence.verdict
+        summary |= {"readable": pair.readable, "reading": pair.reading}
+        summary["equivalence"]["verdict"] = pair.equivalence.verdict
         objects.append(_without_nan(summary))
     return objects
-
-
-def explanation() -> Table:
-    """What each column and each reading means."""
-    table = Table.grid(padding=(0, 2))
-    table.add_column(no_wrap=True, style="bold")
-    table.add_column()
-    for name, meaning in EXPLANATION:
-        table.add_row(name, meaning)
-    for site in (Occupancy.FLOOR, Occupancy.ORIGIN, Occupancy.INTERIOR, Occupancy.CORNER, Occupancy.NEGATIVE):
-        table.add_row(f"{site.word} ({site.site})", site.meaning)
-    return table
-
-
-def _number(value: float, spec: str) -> str:
-    return "undefined" if value != value else format(value, spec)
-
-
-def _with_interval(value: float, interval: Interval) -> str:
-    if value != value:
-        return "undefined"
-    if interval.low != interval.low:
-        return f"{value:+.1%} [undefined]"
-    return f"{value:+.1%} [{100 * interval.low:+.1f},{100 * interval.high:+.1f}]"
-
-
-def _equivalence(summary: RunSummary) -> str:
-    test = summary.equivalence
-    if test.equivalent is None:
-        return "undef."
-    return f"{'yes' if test.equivalent else 'no'} ±{test.width:.1%}"
 
 
 def _without_nan(value: Any) -> Any:

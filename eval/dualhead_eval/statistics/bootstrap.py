@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dualhead_eval.statistics.interval import Interval
 from dualhead_eval.statistics.run_statistics import ConditionSums
 
 #: The frozen protocol's number of replicates and seed.
@@ -20,31 +21,6 @@ BOOTSTRAP_SEED = 20260802
 MARGIN = 0.02
 #: Share of undefined replicates above which an interval is undefined.
 UNDEFINED_LIMIT = 0.01
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A two-sided interval; NaN bounds where it is undefined, with the number of undefined replicates.
-
-    Attributes:
-        low: Lower bound.
-        high: Upper bound.
-        level: Nominal coverage.
-        undefined: Replicates in which the statistic was undefined.
-    """
-
-    low: float
-    high: float
-    level: float
-    undefined: int = 0
-
-    def __contains__(self, value: float) -> bool:
-        return self.low <= value <= self.high
-
-    @property
-    def largest_magnitude(self) -> float:
-        """max(|low|, |high|): the margin-free width d-hat of sec:tost."""
-        return float(max(abs(self.low), abs(self.high)))
 
 
 @dataclass(frozen=True)

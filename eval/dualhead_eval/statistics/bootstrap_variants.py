@@ -14,10 +14,10 @@ from dualhead_eval.statistics.bootstrap import (
     BOOTSTRAP_DRAWS,
     BOOTSTRAP_SEED,
     UNDEFINED_LIMIT,
-    Interval,
     bootstrap_conditions,
     resample_weights,
 )
+from dualhead_eval.statistics.interval import Interval
 from dualhead_eval.statistics.run_statistics import TERMS, ConditionSums
 
 #: Statistics that are ratios of two sums over conditions: (numerator, denominator) columns of the terms.

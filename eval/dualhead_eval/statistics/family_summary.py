@@ -1,4 +1,4 @@
-"""Seeds of one mechanism found among gates, and their summary with the seed as the unit."""
+"""Families: the seeds of one mechanism found among runs, and their summary with the seed as the unit."""
 
 from __future__ import annotations
 
@@ -9,29 +9,81 @@ from itertools import takewhile
 
 import numpy as np
 
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.report.content import Row
-from dualhead_eval.statistics.bootstrap import Equivalence, Interval
-from dualhead_eval.statistics.run_summary import FamilySummary, summarise_family
+from dualhead_eval.effects.sites import Occupancy, occupancy
+from dualhead_eval.gate import Gate
+from dualhead_eval.statistics.bootstrap import Equivalence
+from dualhead_eval.statistics.interval import Interval
+from dualhead_eval.statistics.run import Run
+from dualhead_eval.statistics.run_summary import RunSummary
 from dualhead_eval.statistics.seeds import seed_equivalence, seed_t_interval
 
 #: Provenance that may differ between the seeds of one family.
 _PER_SEED = {"label", "seed", "training", "seeds", "path", "run", "merged_from"}
+FAMILY_STATISTICS = (
+    "valid_rate",
+    "obs",
+    "bl",
+    "delta",
+    "capacity",
+    "capacity_tight",
+    "rho",
+    "delta_pooled",
+    "simpson",
+)
 
 
 @dataclass(frozen=True)
-class FamilyRow:
-    """A family's mean over seeds.
+class FamilySummary:
+    """Mean over the seeds of one mechanism, the seed being the unit.
 
     Attributes:
-        summary: Means and between-seed standard deviations.
-        rho_interval: 95% t interval of the mean rho over seeds, None with a single defined seed.
-        equivalence: Seed-level TOST of rho at 2%, None with a single defined seed.
+        label: Name of the family.
+        runs: The seeds' summaries.
+        mean: Mean over seeds of every numeric statistic, by name; rho is the mean of the seeds' ratios over
+            the seeds that define it.
+        sd: Between-seed standard deviation (n - 1), NaN for a single seed.
+        rho_ratio_of_means: The other convention: mean delta over mean capacity.
+        rho_interval: 95% t interval of the mean rho over seeds, None with fewer than two that define it.
+        equivalence: Seed-level TOST of rho at 2%, None with fewer than two seeds that define it.
+        occupancy: Site of the mean point.
     """
 
-    summary: FamilySummary
+    label: str
+    runs: tuple[RunSummary, ...]
+    mean: dict[str, float]
+    sd: dict[str, float]
+    rho_ratio_of_means: float
     rho_interval: Interval | None
     equivalence: Equivalence | None
+    occupancy: Occupancy
+
+
+def summarise_family(label: str, runs: Sequence[RunSummary]) -> FamilySummary:
+    """Family mean over seeds.
+
+    Raises:
+        ValueError: If no run is given or runs differ in K, threshold or integration steps.
+    """
+    points = {(run.n_modes, run.tau, run.nfe) for run in runs}
+    if len(points) != 1:
+        raise ValueError(
+            f"family {label!r} holds runs at (K, tau, NFE) {sorted(points)}, expected one operating point: "
+            "summarise every run at the same tau and NFE"
+        )
+    columns = {name: np.array([getattr(run, name) for run in runs]) for name in FAMILY_STATISTICS}
+    columns = {name: column[np.isfinite(column)] for name, column in columns.items()}
+    nan, rho = float("nan"), columns["rho"]
+    mean = {name: float(column.mean()) if column.size else nan for name, column in columns.items()}
+    return FamilySummary(
+        label=label,
+        runs=tuple(runs),
+        mean=mean,
+        sd={name: float(column.std(ddof=1)) if column.size > 1 else nan for name, column in columns.items()},
+        rho_ratio_of_means=mean["delta"] / mean["capacity"] if mean["capacity"] > 0 else nan,
+        rho_interval=seed_t_interval(rho) if rho.size > 1 else None,
+        equivalence=seed_equivalence(rho) if rho.size > 1 else None,
+        occupancy=occupancy(mean["rho"], mean["capacity"], runs[0].n_modes),
+    )
 
 
 def family_key(gate: Gate) -> str:
@@ -42,28 +94,17 @@ def family_key(gate: Gate) -> str:
     return json.dumps([gate.heads, gate.n_modes, provenance], sort_keys=True, default=str)
 
 
-def family_rows(gates: Sequence[Gate], rows: Iterable[Row]) -> list[FamilyRow]:
-    """Families with two or more readable seeds, first pair of heads, in the order of their first gate."""
-    first = [row for row in rows if row.first_pair]
-    members: dict[str, list[Row]] = {}
-    for gate, row in zip(gates, first, strict=True):
-        if row.readable:
-            members.setdefault(family_key(gate), []).append(row)
-    families = []
-    for seeds in members.values():
-        if len(seeds) < 2:
-            continue
-        summary = summarise_family(_common_label([row.summary.label for row in seeds]), [r.summary for r in seeds])
-        defined = [run.rho for run in summary.runs if np.isfinite(run.rho)]
-        enough = len(defined) > 1
-        families.append(
-            FamilyRow(
-                summary,
-                seed_t_interval(defined) if enough else None,
-                seed_equivalence(defined) if enough else None,
-            )
-        )
-    return families
+def find_families(runs: Iterable[Run]) -> list[FamilySummary]:
+    """Families with two or more readable seeds, first pair of heads, in the order of their first run."""
+    members: dict[str, list[RunSummary]] = {}
+    for run in runs:
+        if run.first.readable:
+            members.setdefault(family_key(run.gate), []).append(run.first)
+    return [
+        summarise_family(_common_label([seed.label for seed in seeds]), seeds)
+        for seeds in members.values()
+        if len(seeds) > 1
+    ]
 
 
 def _common_label(labels: Sequence[str]) -> str:

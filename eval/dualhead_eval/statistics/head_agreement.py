@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dualhead_eval.effects.counts import all_valid_agreement
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.statistics.bootstrap import BOOTSTRAP_DRAWS, BOOTSTRAP_SEED, Interval, Resamples, resample_weights
+from dualhead_eval.gate import Gate
+from dualhead_eval.statistics.bootstrap import BOOTSTRAP_DRAWS, BOOTSTRAP_SEED, Resamples, resample_weights
+from dualhead_eval.statistics.interval import Interval
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,13 @@
-"""From conditions to a run, and from runs to a family, in the order that the protocol fixes (sec:gate).
+"""The summary of a run: from conditions to two heads' effect, in the order that the protocol fixes (sec:gate).
 
 Each condition's effect uses that condition's own marginals; a run is the mean over conditions weighted by
-their both-valid pairs, its rho the ratio of the weighted means; a family is the mean over seeds. Pooling the
+their both-valid pairs, its rho the ratio of the weighted means. Pooling the
 tables first would book co-movement of the marginals across conditions as coordination: the pooled effect is
 reported beside the run's, and their difference is the Simpson term of rmk:simpson.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,21 +17,26 @@ from dualhead_eval.effects.contingency import coordination
 from dualhead_eval.effects.counts import both_valid
 from dualhead_eval.effects.dependence import entropy, mutual_information
 from dualhead_eval.effects.sites import Occupancy, occupancy
-from dualhead_eval.gate.gate import Gate
+from dualhead_eval.gate import Gate
+from dualhead_eval.residuals.strata import summarise_strata
 from dualhead_eval.statistics.bootstrap import (
     BOOTSTRAP_DRAWS,
     BOOTSTRAP_SEED,
     Equivalence,
-    Interval,
     bootstrap_conditions,
     bootstrap_p_value,
     equivalence_test,
 )
+from dualhead_eval.statistics.interval import Interval
 from dualhead_eval.statistics.run_statistics import condition_sums
 
-#: Mean both-valid pairs a condition below which the unbiased estimator is used: the plug-in one would shrink
+#: Mean both-valid pairs per condition below which the unbiased estimator is used: the plug-in one would shrink
 #: the effect by more than 2%.
 FEW_PAIRS = 50
+#: Valid-pair rate below which a run cannot be read, by partition. On the ring every expert path is valid,
+#: so invalid samples mean an under-trained sampler, whose survivors inflate |rho|; on the robots they are
+#: ordinary.
+READABLE_VALID_RATE = {"ring": 0.95}
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,9 @@ class RunSummary:
         equivalence: TOST of rho against zero.
         occupancy: Site in the attainable region.
         reason: Why rho is undefined; empty where it is defined.
+        partition: Name of the mode partition, empty for anyone's counts.
+        name: What a report calls the run and its pair of heads; by default the label.
+        adjusted_p_value: p_value adjusted for the runs of a report (Benjamini and Hochberg), NaN outside one.
     """
 
     label: str
@@ -110,6 +117,30 @@ class RunSummary:
     equivalence: Equivalence
     occupancy: Occupancy
     reason: str
+    partition: str = ""
+    name: str = ""
+    adjusted_p_value: float = float("nan")
+
+    @property
+    def readable(self) -> bool:
+        """False if the valid-pair rate is too low for this partition to read rho."""
+        return self.valid_rate >= READABLE_VALID_RATE.get(self.partition, 0.0)
+
+    @property
+    def reading(self) -> str:
+        """The summary in plain words."""
+        if not self.readable:
+            return f"not yet readable: valid-pair rate below {READABLE_VALID_RATE[self.partition]:.2f}"
+        if self.occupancy is Occupancy.UNKNOWN:
+            return f"not estimable: {self.reason.split(':')[0]}"
+        if self.reason:
+            return "collapsed: a head chose one mode in every condition"
+        test = self.equivalence
+        if self.occupancy is Occupancy.FLOOR and not test.equivalent:
+            return f"uncoordinated within ±{test.width:.1%} (I)"
+        if 0.0 in self.intervals["rho"] and not test.equivalent:
+            return "unclear: the sign of \N{GREEK SMALL LETTER RHO} is not established"
+        return f"{self.occupancy.word} ({self.occupancy.site})"
 
 
 def summarise_run(
@@ -138,6 +169,7 @@ def summarise_run(
         nfe=gate.reference_nfe if nfe is None else int(nfe),
         target=gate.target_probabilities,
         clusters=gate.pair_ids if clustered else None,
+        partition=str(gate.partition.get("name", "")),
         draws=draws,
         seed=seed,
     )
@@ -153,6 +185,7 @@ def summarise_table(
     target: ArrayLike | None = None,
     estimator: str | None = None,
     clusters: ArrayLike | None = None,
+    partition: str = "",
     draws: int = BOOTSTRAP_DRAWS,
     seed: int = BOOTSTRAP_SEED,
 ) -> RunSummary:
@@ -166,8 +199,9 @@ def summarise_table(
         nfe: Integration steps that the samples used.
         target: Mode frequencies of the data ``(K,)``.
         estimator: ``"plug-in"`` (the protocol's) or ``"unbiased"``; by default unbiased below
-            :data:`FEW_PAIRS` both-valid pairs a condition.
+            :data:`FEW_PAIRS` both-valid pairs per condition.
         clusters: Cluster of each condition ``(n_conditions,)``; clusters are then resampled, not conditions.
+        partition: Name of the mode partition.
         draws: Bootstrap replicates.
         seed: Seed of the bootstrap.
 
@@ -212,66 +246,10 @@ def summarise_table(
         equivalence=equivalence_test(resamples),
         occupancy=occupancy(run["rho"], run["capacity"], sums.n_modes),
         reason=_reason(run, n_both_valid),
+        partition=partition,
+        name=label,
         **run,
     )
-
-
-@dataclass(frozen=True)
-class FamilySummary:
-    """Mean over the seeds of one mechanism, the seed being the unit.
-
-    Attributes:
-        label: Name of the family.
-        runs: The seeds' summaries.
-        mean: Mean over seeds of every numeric statistic, by name; rho is the mean of the seeds' ratios over
-            the seeds that define it.
-        sd: Between-seed standard deviation (n - 1), NaN for a single seed.
-        rho_ratio_of_means: The other convention: mean delta over mean capacity.
-        occupancy: Site of the mean point.
-    """
-
-    label: str
-    runs: tuple[RunSummary, ...]
-    mean: dict[str, float]
-    sd: dict[str, float]
-    rho_ratio_of_means: float
-    occupancy: Occupancy
-
-
-FAMILY_STATISTICS = (
-    "valid_rate",
-    "obs",
-    "bl",
-    "delta",
-    "capacity",
-    "capacity_tight",
-    "rho",
-    "delta_pooled",
-    "simpson",
-)
-
-
-def summarise_family(label: str, runs: Sequence[RunSummary]) -> FamilySummary:
-    """Family mean over seeds.
-
-    Raises:
-        ValueError: If no run is given or runs differ in K, threshold or integration steps.
-    """
-    points = {(run.n_modes, run.tau, run.nfe) for run in runs}
-    if len(points) != 1:
-        raise ValueError(
-            f"family {label!r} holds runs at (K, tau, NFE) {sorted(points)}, expected one operating point: "
-            f"summarise "
-            "every run at the same tau and NFE"
-        )
-    values = {name: np.array([getattr(run, name) for run in runs]) for name in FAMILY_STATISTICS}
-    values = {name: column[np.isfinite(column)] for name, column in values.items()}
-    nan = float("nan")
-    mean = {name: float(column.mean()) if column.size else nan for name, column in values.items()}
-    sd = {name: float(column.std(ddof=1)) if column.size > 1 else nan for name, column in values.items()}
-    ratio = mean["delta"] / mean["capacity"] if mean["capacity"] > 0 else nan
-    site = occupancy(mean["rho"], mean["capacity"], runs[0].n_modes)
-    return FamilySummary(label, tuple(runs), mean, sd, ratio, site)
 
 
 def total_variation(generated: ArrayLike, target: ArrayLike | None) -> float:
@@ -282,6 +260,13 @@ def total_variation(generated: ArrayLike, target: ArrayLike | None) -> float:
     if target is None:
         return float("nan")
     return float(0.5 * np.abs(np.asarray(generated) - np.asarray(target)).sum())
+
+
+def residual_mm(gate: Gate, tau: float | None = None, nfe: int | None = None) -> float | None:
+    """Mean cross-head position residual in mm at one operating point, None if the gate holds none."""
+    if "position" not in gate.strata:
+        return None
+    return summarise_strata(gate.strata["position"].at(gate.index(tau, nfe))).mean
 
 
 def _mean_information(tables: NDArray, weight: NDArray) -> float:

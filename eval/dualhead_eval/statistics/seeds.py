@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import false_discovery_control, t
 
-from dualhead_eval.statistics.bootstrap import MARGIN, Equivalence, Interval
+from dualhead_eval.statistics.bootstrap import MARGIN, Equivalence
+from dualhead_eval.statistics.interval import Interval
 
 
 def _seeds(values: ArrayLike, smallest: int = 2) -> NDArray[np.float64]:
@@ -19,8 +20,7 @@ def _seeds(values: ArrayLike, smallest: int = 2) -> NDArray[np.float64]:
     if array.ndim != 1 or array.size < smallest or not np.isfinite(array).all():
         raise ValueError(
             f"seed values have shape {array.shape}, expected a list of at least {smallest} finite numbers: a "
-            f"seed "
-            "whose rho is undefined must be named, not averaged"
+            "seed whose rho is undefined must be named, not averaged"
         )
     return array
 

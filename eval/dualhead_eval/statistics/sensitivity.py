@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dualhead_eval.gate.gate import Gate
+from dualhead_eval.gate import Gate
 from dualhead_eval.statistics.run_summary import RunSummary, summarise_run
 
 
@@ -41,20 +41,32 @@ class SensitivityCurve:
         return max(values) - min(values) if values else float("nan")
 
 
-def tau_curve(gate: Gate, *, heads: tuple[int, int] = (0, 1), draws: int = 500) -> SensitivityCurve:
-    """The run at every threshold scanned, at its reference number of steps."""
-    points = tuple(summarise_run(gate, heads=heads, tau=tau, draws=draws) for tau in gate.taus)
+def tau_curve(
+    gate: Gate, *, heads: tuple[int, int] = (0, 1), nfe: int | None = None, draws: int = 500
+) -> SensitivityCurve:
+    """The run at every threshold scanned, at ``nfe`` steps (its reference by default)."""
+    points = tuple(summarise_run(gate, heads=heads, tau=tau, nfe=nfe, draws=draws) for tau in gate.taus)
     return SensitivityCurve(gate.label, "tau", gate.reference_tau, points)
 
 
-def nfe_curve(gate: Gate, *, heads: tuple[int, int] = (0, 1), draws: int = 500) -> SensitivityCurve:
-    """The run at every number of steps scanned, at its reference threshold."""
-    points = tuple(summarise_run(gate, heads=heads, nfe=nfe, draws=draws) for nfe in gate.nfes)
+def nfe_curve(
+    gate: Gate, *, heads: tuple[int, int] = (0, 1), tau: float | None = None, draws: int = 500
+) -> SensitivityCurve:
+    """The run at every number of steps scanned, at threshold ``tau`` (its reference by default)."""
+    points = tuple(summarise_run(gate, heads=heads, tau=tau, nfe=nfe, draws=draws) for nfe in gate.nfes)
     return SensitivityCurve(gate.label, "nfe", float(gate.reference_nfe), points)
 
 
-def curves(gates: Sequence[Gate], axis: str) -> list[SensitivityCurve]:
+def curves(
+    gates: Sequence[Gate], axis: str, *, tau: float | None = None, nfe: int | None = None
+) -> list[SensitivityCurve]:
     """Curves of all gates that scanned more than one value of ``axis`` (``"tau"`` or ``"nfe"``).
+
+    Args:
+        gates: The gates.
+        axis: What varies along a curve.
+        tau: Threshold of the curves over integration steps, each gate's reference by default.
+        nfe: Integration steps of the curves over thresholds, each gate's reference by default.
 
     Raises:
         ValueError: If the axis has another name.
@@ -62,8 +74,8 @@ def curves(gates: Sequence[Gate], axis: str) -> list[SensitivityCurve]:
     if axis not in ("tau", "nfe"):
         raise ValueError(f"axis={axis!r}, expected 'tau' or 'nfe'")
     if axis == "tau":
-        return [tau_curve(gate) for gate in gates if len(gate.taus) > 1]
-    return [nfe_curve(gate) for gate in gates if len(gate.nfes) > 1]
+        return [tau_curve(gate, nfe=nfe) for gate in gates if len(gate.taus) > 1]
+    return [nfe_curve(gate, tau=tau) for gate in gates if len(gate.nfes) > 1]
 
 
 def ranking_is_stable(lines: Sequence[SensitivityCurve], tie: float = 0.01) -> bool:

@@ -8,8 +8,9 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.report.content import RHO, Row, report_rows
+from dualhead_eval.gate import Gate
+from dualhead_eval.report.table import RHO
+from dualhead_eval.statistics.run_summary import RunSummary, summarise_run
 from dualhead_eval.studies.plan import PlannedRow
 
 Result = tuple[PlannedRow, Gate, Gate | None]
@@ -35,7 +36,7 @@ def story_table(results: Sequence[Result]) -> Group:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("what it shows", min_width=30, overflow="fold")
     for row, trained, reference in results:
-        line = report_rows([trained])[0]
+        line = summarise_run(trained)
         exact = [_exact(reference)] if known else []
         table.add_row(row.title, *_numbers(line), *exact, _story(row, line), end_section=True)
     legend = Table.grid(padding=(0, 2))
@@ -46,8 +47,7 @@ def story_table(results: Sequence[Result]) -> Group:
     return Group(table, legend)
 
 
-def _numbers(line: Row) -> list[str]:
-    summary = line.summary
+def _numbers(summary: RunSummary) -> list[str]:
     interval = summary.intervals["rho"]
     rho = "undefined"
     if summary.rho == summary.rho:
@@ -58,16 +58,16 @@ def _numbers(line: Row) -> list[str]:
 def _exact(reference: Gate | None) -> str:
     if reference is None:
         return "none"
-    rho = report_rows([reference])[0].summary.rho
+    rho = summarise_run(reference).rho
     mark = "≈ " if "approximate" in reference.provenance["method"] else ""
     return f"{mark}{rho:+.1%}"
 
 
-def _story(row: PlannedRow, line: Row) -> Text:
+def _story(row: PlannedRow, line: RunSummary) -> Text:
     if line.readable:
         return Text(row.story)
     return Text(
-        f"Not yet readable: only {line.summary.valid_rate:.0%} of pairs are valid, so train longer "
+        f"Not yet readable: only {line.valid_rate:.0%} of pairs are valid, so train longer "
         "(--preset full) before reading this row.",
         style="bold yellow",
     )

@@ -72,7 +72,7 @@ def test_protocol_numbers_reach_the_policys_card(trained, ring_data, tmp_path):
     card, gate = (folder / "README.md").read_text(), read_gate(tmp_path / "a.gate.json")
     rate = (gate.pair_table()[:, :2, :2].sum() / gate.pair_table().sum()).item()
     assert f"| valid-pair rate | {rate:.4g} |" in card
-    assert "| sample pairs a condition | 8 |" in card
+    assert "| sample pairs per condition | 8 |" in card
     assert set(before.splitlines()) <= set(card.splitlines())
 
 

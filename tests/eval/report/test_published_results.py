@@ -1,4 +1,4 @@
-"""The gate files in results/ can be read, say what they are, and hold the protocol."""
+"""The gate files in results/ can be read, say what they are, hold the protocol, and give the numbers published."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, read_closed_loop
-from dualhead_eval.gate.gate import read_gate
+from dualhead_eval.gate import read_gate
+from dualhead_eval.report.content import make_report, report_json
 from dualhead_eval.report.inputs import GATE_SUFFIX
 
 FOLDER = Path(__file__).parents[3] / "results"
@@ -33,3 +34,42 @@ def test_closed_loop_outcomes_are_of_at_least_150_episodes():
     found = sorted(FOLDER.rglob("*" + ROLLOUTS_SUFFIX))
     assert found
     assert all(read_closed_loop(path)[1].episodes >= 150 for path in found)
+
+
+#: What ``dualhead report --json`` printed when these files were published.
+PUBLISHED = {
+    "v2/A_independent-50k": [
+        ["joint", "position", 0.9987604166666667, 0.49847402330081614, -0.0013838700939015369, -0.002776213060688234]
+    ],
+    "v2/G_consistency_3_paper_network-50k": [
+        ["joint", "position", 0.6289270833333334, 0.4764641988622578, 0.1981014240795575, 0.41577399635187934]
+    ],
+    "v3/pose_consistency_3_rotation_1-20k": [
+        ["joint", "position", 0.6262152777777777, 0.4903884881091366, 0.14533351770127084, 0.29636404855598214],
+        ["joint", "rotation", 0.6953993055555555, 0.4912029693352795, -0.06486272391396838, -0.1320487211259001],
+        ["position", "rotation", 0.7304036458333333, 0.4888157418522538, -0.22974525314193284, -0.47000379380452545],
+    ],
+}
+#: Ends of rho's 95 % interval, smallest equivalence band and p-value, from the frozen bootstrap.
+PUBLISHED_INTERVALS = {
+    "v2/A_independent-50k": [-0.00914699647955681, 0.003683334507265539, 0.008183851273083307, 0.4027986006996502],
+    "v2/G_consistency_3_paper_network-50k": [
+        0.4081802225841762,
+        0.42355617936972173,
+        0.42244647375883754,
+        0.0009995002498750624,
+    ],
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_numbers_are_recomputed(name):
+    rows = report_json(make_report([read_gate(FOLDER / f"{name}{GATE_SUFFIX}")]))
+    found = [[*row["heads"], *(row[key] for key in ("valid_rate", "capacity", "delta", "rho"))] for row in rows]
+    for mine, published in zip(found, PUBLISHED[name], strict=True):
+        assert mine[:2] == published[:2]
+        assert mine[2:] == pytest.approx(published[2:], abs=1e-12)
+    if name in PUBLISHED_INTERVALS:
+        interval = rows[0]["intervals"]["rho"]
+        numbers = [interval["low"], interval["high"], rows[0]["equivalence"]["width"], rows[0]["p_value"]]
+        assert numbers == pytest.approx(PUBLISHED_INTERVALS[name], abs=1e-12)

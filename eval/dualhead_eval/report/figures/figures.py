@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.paper.numbers import residual_mm
-from dualhead_eval.report.content import Row
+from dualhead_eval.report.content import Report
 from dualhead_eval.report.figures.forest import forest_figure
 from dualhead_eval.report.figures.heatmap import heatmap_figure
 from dualhead_eval.report.figures.region import region_figure
 from dualhead_eval.report.figures.sensitivity import sensitivity_figure
 from dualhead_eval.report.figures.strata import strata_figure
-from dualhead_eval.statistics.sensitivity import curves
 
 #: What each figure shows, in the order of a report.
 CAPTIONS = {
@@ -29,22 +25,18 @@ CAPTIONS = {
 }
 
 
-def report_figures(gates: Sequence[Gate], rows: Sequence[Row], *, normalised: bool | None = None) -> dict[str, bytes]:
-    """The figures that these gates allow, by name, in the order of :data:`CAPTIONS`."""
-    summaries = [row.summary for row in rows]
+def report_figures(report: Report, *, normalised: bool | None = None) -> dict[str, bytes]:
+    """The figures that the report's runs allow, by name, in the order of :data:`CAPTIONS`."""
     figures: dict[str, Figure] = {}
-    if any(np.isfinite(summary.capacity) for summary in summaries):
-        figures["region"] = region_figure(summaries, normalised=normalised)
-    if any(np.isfinite(summary.rho) for summary in summaries):
-        figures["forest"] = forest_figure(summaries)
-    if len({row.summary.heads for row in rows}) == 1:
-        figures["heatmap"] = heatmap_figure(summaries, [residual_mm(gate) for gate in gates])
-    else:
-        figures["heatmap"] = heatmap_figure(summaries)
-    if any("position" in gate.strata for gate in gates):
-        figures["strata"] = strata_figure(gates)
-    for axis in ("tau", "nfe"):
-        lines = curves(gates, axis)
+    if any(np.isfinite(pair.capacity) for pair in report.pairs):
+        figures["region"] = region_figure(report, normalised=normalised)
+    if any(np.isfinite(pair.rho) for pair in report.pairs):
+        figures["forest"] = forest_figure(report)
+    if report.runs:
+        figures["heatmap"] = heatmap_figure(report)
+    if any("position" in run.residuals for run in report.runs):
+        figures["strata"] = strata_figure(report)
+    for axis, lines in (("tau", report.tau_curves), ("nfe", report.nfe_curves)):
         if lines:
             figures[axis] = sensitivity_figure(lines)
     return {name: _png(figure) for name, figure in figures.items()}

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from dualhead_eval.report.content import Report
 from dualhead_eval.statistics.bootstrap import MARGIN
-from dualhead_eval.statistics.run_summary import RunSummary
 
 #: Half-width of the close-up around zero.
 _CLOSE_UP = 0.06
 
 
-def forest_figure(runs: Sequence[RunSummary]) -> Figure:
-    """Two panels: the whole range, and a close-up of the floor; runs in the order given.
+def forest_figure(report: Report) -> Figure:
+    """Two panels: the whole range, and a close-up of the floor; pairs of heads in the report's order.
 
     Raises:
         ValueError: If no run has a defined rho.
     """
-    drawn = [run for run in runs if np.isfinite(run.rho)]
+    drawn = [run for run in report.pairs if np.isfinite(run.rho)]
     if not drawn:
         raise ValueError("no run has a defined rho, expected at least one for a forest plot")
     height = 1.3 + 0.27 * len(drawn)
@@ -41,7 +39,7 @@ def forest_figure(runs: Sequence[RunSummary]) -> Figure:
             ax.plot(run.rho, row, "o", color=color, markersize=4)
     low = float(np.nanmin([-0.05, *(run.rho for run in drawn), *(run.intervals["rho"].low for run in drawn)]))
     whole.set_xlim(1.08 * low - 0.02, 1.05)
-    whole.set_yticks(rows, [run.label for run in drawn], fontsize=8)
+    whole.set_yticks(rows, [run.name for run in drawn], fontsize=8)
     whole.set_ylim(-0.7, len(drawn) - 0.3)
     close.set_xlim(-_CLOSE_UP, _CLOSE_UP)
     close.set_xticks([-2 * MARGIN, -MARGIN, 0, MARGIN, 2 * MARGIN])

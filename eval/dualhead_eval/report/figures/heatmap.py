@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.figure import Figure
 
-from dualhead_eval.statistics.run_summary import RunSummary
+from dualhead_eval.report.content import Report
 
 
-def heatmap_figure(runs: Sequence[RunSummary], residual_mm: Sequence[float | None] | None = None) -> Figure:
-    """One row a run, one column a quantity, each column on its own scale, numbers printed.
+def heatmap_figure(report: Report) -> Figure:
+    """One row per pair of heads, one column per quantity, each column on its own scale, numbers printed.
 
-    Args:
-        runs: Summaries.
-        residual_mm: Mean residual of each run, None where it is unknown; the column is left out without any.
+    The residual belongs to a run's first two heads; its column is left out only where no run holds one.
 
     Raises:
-        ValueError: If no run is given.
+        ValueError: If the report holds no run.
     """
+    runs = report.pairs
     if not runs:
         raise ValueError("no run was given, expected at least one for a heat map")
     columns: list[tuple[str, list[float], str, str]] = [
@@ -30,7 +27,11 @@ def heatmap_figure(runs: Sequence[RunSummary], residual_mm: Sequence[float | Non
         ("entropy B / ln K", [run.entropy_p / np.log(run.n_modes) for run in runs], ".3f", "YlGn"),
         ("valid-pair rate", [run.valid_rate for run in runs], ".3f", "YlGn"),
     ]
-    residuals = [np.nan if value is None else value for value in residual_mm or []]
+    residuals = [
+        np.nan if run.residual_mm is None or pair is not run.first else run.residual_mm
+        for run in report.runs
+        for pair in run.pairs
+    ]
     if np.isfinite(residuals).any():
         columns.append(("residual (mm)", residuals, ".1f", "Oranges"))
     figure = Figure(figsize=(2.2 + 1.05 * len(columns), 1.1 + 0.3 * len(runs)), dpi=160)
@@ -51,11 +52,11 @@ def heatmap_figure(runs: Sequence[RunSummary], residual_mm: Sequence[float | Non
         for row, value in enumerate(values):
             color = image.cmap(image.norm(value)) if np.isfinite(value) else (1, 1, 1, 1)
             dark = 0.299 * color[0] + 0.587 * color[1] + 0.114 * color[2] < 0.5
-            text = format(value, spec) if np.isfinite(value) else "undef."
+            text = format(value, spec) if np.isfinite(value) else "-" if spec == ".1f" else "undef."
             ax.text(0, row, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
         for spine in ax.spines.values():
             spine.set_visible(False)
-    axes[0].set_yticks(range(len(runs)), [run.label for run in runs], fontsize=8)
+    axes[0].set_yticks(range(len(runs)), [run.name for run in runs], fontsize=8)
     for ax in axes:
         ax.tick_params(length=0)
     figure.tight_layout(w_pad=0.2)

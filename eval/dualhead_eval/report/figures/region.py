@@ -1,12 +1,12 @@
-"""The attainable region: effect against capacity, one point a run (the paper's fig:region).
+"""The attainable region: effect against capacity, one point per run (the paper's fig:region).
 
 No run can lie above the diagonal. On it the heads always agree; at its origin only because neither varies.
 """
 
 from __future__ import annotations
 
+import io
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,43 +14,38 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dualhead_eval.gate.gate import Gate
+from dualhead_eval.atomic_text import write_bytes
+from dualhead_eval.report.content import Report
 from dualhead_eval.report.figures.label_placement import place_labels
 from dualhead_eval.statistics.bootstrap import MARGIN
-from dualhead_eval.statistics.run_summary import RunSummary, summarise_run
 
 _MARKERS = {2: "o", 3: "^", 4: "s", 8: "D"}
 
 
-def draw_region(
-    runs: Sequence[Gate] | Sequence[RunSummary], path: str | os.PathLike, *, normalised: bool | None = None
-) -> Path:
-    """Draw the runs in the (C, Delta) plane and save a PNG.
+def draw_region(report: Report, path: str | os.PathLike, *, normalised: bool | None = None) -> Path:
+    """Draw the runs in the (C, Delta) plane and save a PNG, whole or not at all.
 
     Args:
-        runs: Gates (their first two heads at the reference point) or run summaries.
+        report: The runs.
         path: File to write; its folder is created.
         normalised: Divide both axes by 1 - 1/K. By default only when the runs differ in K.
 
     Raises:
         ValueError: If no run has a capacity to draw.
     """
-    figure = region_figure(
-        [summarise_run(run) if isinstance(run, Gate) else run for run in runs], normalised=normalised
-    )
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(target, format="png")
+    target, buffer = Path(path), io.BytesIO()
+    region_figure(report, normalised=normalised).savefig(buffer, format="png")
+    write_bytes(target, buffer.getvalue())
     return target
 
 
-def region_figure(summaries: Sequence[RunSummary], *, normalised: bool | None = None) -> Figure:
-    """The attainable region with one point a run.
+def region_figure(report: Report, *, normalised: bool | None = None) -> Figure:
+    """The attainable region with one point per pair of heads.
 
     Raises:
         ValueError: If no run has a capacity to draw.
     """
-    drawn = [s for s in summaries if np.isfinite(s.capacity)]
+    drawn = [s for s in report.pairs if np.isfinite(s.capacity)]
     if not drawn:
         raise ValueError("no run has a both-valid pair, expected at least one to draw: check the valid-pair rates")
     if normalised is None:
@@ -98,9 +93,7 @@ def region_figure(summaries: Sequence[RunSummary], *, normalised: bool | None = 
         ax.legend(loc="upper left", frameon=False, fontsize=8)
     figure.canvas.draw()
     figure.set_layout_engine("none")
-    several_pairs = len({s.heads for s in drawn}) > 1
-    names = [s.label + (f" ({'-'.join(s.heads)})" if several_pairs else "") for s in drawn]
-    place_labels(ax, x.tolist(), y.tolist(), names)
+    place_labels(ax, x.tolist(), y.tolist(), [s.name for s in drawn])
     return figure
 
 

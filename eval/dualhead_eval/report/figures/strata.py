@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.residuals.strata import summarise_strata
+from dualhead_eval.report.content import Report
 
 _COLORS = {"same": "tab:green", "cross": "tab:red"}
 
 
-def strata_figure(gates: Sequence[Gate], component: str = "position") -> Figure:
+def strata_figure(report: Report, component: str = "position") -> Figure:
     """Per-condition medians of both strata, and each run's cross-mode share with its AUROC.
 
     Raises:
         ValueError: If no gate holds the component.
     """
-    drawn = [gate for gate in gates if component in gate.strata]
+    drawn = [run for run in report.runs if component in run.residuals]
     if not drawn:
         raise ValueError(f"no gate holds residual strata {component!r}, expected at least one: evaluate again")
-    parts = [gate.strata[component].at(gate.index()) for gate in drawn]
+    parts = [run.gate.strata[component].at(run.gate.index(run.first.tau, run.first.nfe)) for run in drawn]
     height = 1.5 + 0.33 * len(drawn)
     figure = Figure(figsize=(9.2, height), dpi=160, layout=ConstrainedLayoutEngine(wspace=0.05))
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     rows = np.arange(len(drawn))[::-1]
-    for row, strata in zip(rows, parts, strict=True):
+    for row, run, strata in zip(rows, drawn, parts, strict=True):
         for column, (name, offset) in enumerate((("same", 0.16), ("cross", -0.16))):
             medians = strata.median[:, column]
             medians = medians[np.isfinite(medians)]
@@ -41,15 +38,15 @@ def strata_figure(gates: Sequence[Gate], component: str = "position") -> Figure:
                 markersize=7,
                 label=f"{name}-mode pairs" if row == rows[0] else None,
             )
-        summary = summarise_strata(strata)
+        summary = run.residuals[component]
         share = summary.cross_share
         right.barh(row, 0 if np.isnan(share) else share, height=0.6, color="tab:red", alpha=0.6)
         text = "no residual" if np.isnan(share) else f"{share:.1%}"
         text += "" if np.isnan(summary.auroc) else f"   AUROC {summary.auroc:.3f}"
         right.text(0.02 if np.isnan(share) or share > 0.5 else share + 0.02, row, text, va="center", fontsize=7)
-    left.set_yticks(rows, [gate.label for gate in drawn], fontsize=8)
+    left.set_yticks(rows, [run.name for run in drawn], fontsize=8)
     left.set_ylim(-0.6, len(drawn) - 0.4)
-    left.set_xlabel(f"median residual of a condition ({parts[0].unit})")
+    left.set_xlabel(f"median residual per condition ({parts[0].unit})")
     left.set_xlim(left=0)
     left.legend(fontsize=7, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     right.set_xlim(0, 1)

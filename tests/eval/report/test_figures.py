@@ -1,0 +1,57 @@
+"""Every figure reads from the report."""
+
+import pytest
+
+from dualhead_eval.report.content import make_report
+from dualhead_eval.report.figures.figures import CAPTIONS, report_figures
+from dualhead_eval.report.figures.forest import forest_figure
+from dualhead_eval.report.figures.heatmap import heatmap_figure
+from dualhead_eval.report.figures.region import draw_region
+from dualhead_eval.report.figures.sensitivity import sensitivity_figure
+from dualhead_eval.report.figures.strata import strata_figure
+
+
+def texts(figure):
+    """Everything that is written in a figure."""
+    return {text.get_text() for ax in figure.axes for text in [*ax.texts, *ax.get_yticklabels(), ax.title]}
+
+
+def test_every_figure_is_drawn_and_captioned(make_gate):
+    figures = report_figures(make_report([make_gate("a"), make_gate("b", 0.8), make_gate("K=4", 0.9, k=4)]))
+    assert list(figures) == list(CAPTIONS)
+    assert all(png.startswith(b"\x89PNG") for png in figures.values())
+
+
+def test_gates_that_allow_no_figure_say_so(make_gate):
+    empty = make_report([make_gate("none", valid=0.0)])
+    assert set(report_figures(empty)) == {"heatmap", "strata", "tau", "nfe"}
+    with pytest.raises(ValueError, match="defined rho"):
+        forest_figure(empty)
+    with pytest.raises(ValueError, match="no run"):
+        heatmap_figure(make_report([]))
+    with pytest.raises(ValueError, match="strata 'rotation'"):
+        strata_figure(empty, "rotation")
+    with pytest.raises(ValueError, match="curves"):
+        sensitivity_figure([])
+
+
+def test_the_region_is_drawn_as_png(make_gate, tmp_path):
+    report = make_report([make_gate("a", 0.2), make_gate("b", 0.9, k=4)])
+    path = draw_region(report, tmp_path / "deep" / "region.png")
+    assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    with pytest.raises(ValueError, match="no run has a both-valid pair"):
+        draw_region(make_report([make_gate("none", valid=0.0)]), tmp_path / "empty.png")
+    assert not (tmp_path / "empty.png").exists()
+
+
+def test_the_strata_are_those_of_the_reports_operating_point(make_gate):
+    gate = make_gate(weak=True, partition="bypass-v2")
+    shares = [make_report([gate], tau=tau).runs[0].residuals["position"].cross_share for tau in (0.4, 0.55)]
+    assert shares[0] != shares[1]
+    for tau, share in zip((0.4, 0.55), shares, strict=True):
+        assert any(f"{share:.1%}" in text for text in texts(strata_figure(make_report([gate], tau=tau))))
+
+
+def test_a_three_head_run_keeps_the_residual_of_every_run(make_gate):
+    figure = heatmap_figure(make_report([make_gate("two"), make_gate("three", 0.5, heads=3)]))
+    assert "residual (mm)" in texts(figure)

@@ -1,0 +1,75 @@
+"""Every table is plain cells, and both renderers show every one of them."""
+
+import pytest
+
+from dualhead_eval.evaluation.rollouts import ClosedLoop
+from dualhead_eval.report import page, terminal
+from dualhead_eval.report.content import make_report
+from dualhead_eval.report.table import Column, Table
+from dualhead_eval.report.tables import effects_table, families_table, paper_tables, report_tables
+
+
+@pytest.fixture(scope="module")
+def report(make_gate):
+    """A report with something in every table."""
+    seeds = [
+        make_gate(f"A seed {seed}", 0.1, seed=seed, partition="bypass-v2", config={"seed": seed}) for seed in range(2)
+    ]
+    pose = make_gate("pose", 0.5, heads=3, partition="bypass-v2")
+    return make_report([*seeds, pose], [("loop", ClosedLoop("BimodalBypass-v2", "joint", 150, 149, 1))])
+
+
+def test_both_renderers_show_every_table(report, printed):
+    tables = report_tables(report) + paper_tables(report)
+    titles = [table.title for table in tables]
+    for title in ("Closed loop", "All heads at once", "Means over seeds (the seed is the unit)"):
+        assert title in titles
+    for table in tables:
+        text, html = printed(terminal.render_table(table), width=200), page.render_table(table)
+        assert table.title in text
+        for row in table.rows:
+            for cell, column in zip(row, table.columns, strict=True):
+                content = getattr(cell, "text", cell)
+                assert f">{page._text(content)}</td>" in html
+                if not column.detail:
+                    assert all(word in text for word in content.split())
+
+
+def test_the_effects_print_every_number_with_its_operating_point(make_gate, printed):
+    report = make_report([make_gate("my run", 1.0)])
+    text = printed(terminal.render_table(effects_table(report)))
+    (pair,) = report.pairs
+    for cell in ("my run", "0.55", "20", f"{pair.capacity:.4f}", f"{pair.delta:+.4f}", "+100.0% [+100.0,+100.0]"):
+        assert cell in text
+    assert "nan" not in text
+
+
+def test_undefined_numbers_are_words(make_gate, printed):
+    report = make_report([make_gate("one mode", 1.0, prior=[1.0, 0.0])])
+    assert "undefined" in printed(terminal.render_table(effects_table(report)))
+
+
+def test_the_effects_fit_a_narrow_terminal(make_gate, printed):
+    report = make_report([make_gate("shared noise (nullspace)", 0.3), make_gate("token", 1.0, k=4)])
+    text = printed(terminal.render_table(effects_table(report)), width=80)
+    for whole in ("partly", "coordinated", "+100.0%", "[+100.0,+100.0]", "K", "±100.0%"):
+        assert any(whole in line for line in text.splitlines())
+
+
+@pytest.mark.parametrize("label", ["[red]danger[/red]", "[/]", "<b>bold & co</b>", "clear\x1b[2Jscreen", "two\nlines"])
+def test_a_label_is_text_wherever_it_is_shown(label, make_gate, printed):
+    table = effects_table(make_report([make_gate(label)]))
+    text, html = printed(terminal.render_table(table), width=200), page.render_table(table)
+    assert label.replace("\x1b", "\\x1b").replace("\n", "\\n") in text
+    assert "\x1b" not in text
+    assert "<b>" not in html
+    assert "\x1b" not in html
+
+
+def test_families_need_two_seeds_of_one_setting(make_gate):
+    assert families_table(make_report([make_gate("alone", 0.6)])) is None
+
+
+def test_a_row_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="row of 2 cells, expected 1"):
+        Table("x", (Column("a"),), (("1", "2"),))
