@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import nn
+
+from dualhead_envs.validated_json import shown
+from dualhead_policy.hub_folder import file_inside
 
 
 def load_strictly(model: nn.Module, model_file: str | Path, device: str) -> None:
@@ -14,27 +18,36 @@ def load_strictly(model: nn.Module, model_file: str | Path, device: str) -> None
 
     Raises:
         FileNotFoundError: If the file is missing.
-        ValueError: If the file is truncated or not safetensors, or its tensors are not exactly the model's.
+        ValueError: If the file is truncated, not safetensors or a link out of its folder, or its tensors are not
+            exactly the model's, or not finite.
     """
-    path = Path(model_file)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is missing: expected a checkpoint folder with model.safetensors")
+    path = file_inside(Path(model_file).parent, Path(model_file).name)
     try:
         tensors = load_file(path, device=str(device))
     except SafetensorError as error:
         raise ValueError(
-            f"{path} is not a readable safetensors file ({error}): it may be truncated; copy it again or load "
-            "another checkpoint"
+            f"{path} is not a readable safetensors file: it may be truncated; copy it again or load another checkpoint"
         ) from error
     own = model.state_dict()
     missing = sorted(set(own) - set(tensors))
     unexpected = sorted(set(tensors) - set(own))
-    reshaped = sorted(name for name in set(own) & set(tensors) if own[name].shape != tensors[name].shape)
-    for problem, names in (("lacks", missing), ("has unknown", unexpected), ("has misshapen", reshaped)):
+    reshaped = sorted(
+        name
+        for name in set(own) & set(tensors)
+        if own[name].shape != tensors[name].shape or own[name].is_floating_point() != tensors[name].is_floating_point()
+    )
+    # The range of observations is unbounded in a policy that was never fitted.
+    infinite = sorted(
+        name
+        for name in set(own) & set(tensors) - set(reshaped)
+        if not (torch.isfinite(tensors[name]) | (tensors[name] == own[name])).all()
+    )
+    problems = {"lacks": missing, "has unknown": unexpected, "has misshapen": reshaped, "has non-finite": infinite}
+    for problem, names in problems.items():
         if names:
-            shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+            some = ", ".join(shown(name) for name in names[:3]) + (f" and {len(names) - 3} more" if names[3:] else "")
             raise ValueError(
-                f"{path} {problem} tensors ({shown}): it does not belong to this config.json; load the folder "
+                f"{path} {problem} tensors ({some}): it does not belong to this config.json; load the folder "
                 "that the policy was saved to"
             )
     model.load_state_dict(tensors, strict=True)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+from lerobot.configs import FeatureType
 
 CHOICES = {
     "conditioning": ("film", "concat"),
@@ -28,7 +31,31 @@ POSITIVE = (
     "optimizer_lr",
     "action_std_floor",
 )
-NOT_NEGATIVE = ("latent_dim", "kl_weight", "free_bits", "consistency_weight", "rotation_consistency_weight")
+NOT_NEGATIVE = (
+    "latent_dim",
+    "kl_weight",
+    "free_bits",
+    "consistency_weight",
+    "rotation_consistency_weight",
+    "optimizer_grad_clip_norm",
+    "lr_warmup_steps",
+)
+#: Largest values: what is larger is a slip of the keyboard, or a folder that is meant to exhaust the memory.
+AT_MOST = {
+    "chunk_size": 1024,
+    "encoder_dim": 16_384,
+    "velocity_width": 16_384,
+    "velocity_layers": 128,
+    "time_frequencies": 64,
+    "num_inference_steps": 10_000,
+    "n_tokens": 1024,
+    "latent_dim": 4096,
+    "seed": 2**63 - 1,
+}
+#: Most parameters of the heads' velocity fields together.
+MOST_PARAMETERS = 10**9
+#: Longest observation or action, in numbers.
+WIDEST_FEATURE = 100_000
 
 
 def check_values(fields: Mapping[str, Any]) -> None:
@@ -53,6 +80,28 @@ def check_values(fields: Mapping[str, Any]) -> None:
     for name in NOT_NEGATIVE:
         if not fields[name] >= 0:
             raise ValueError(f"policy.{name}={fields[name]} must not be negative: give 0 or more")
+    for name, most in AT_MOST.items():
+        if fields[name] is not None and fields[name] > most:
+            raise ValueError(f"policy.{name}={fields[name]} is larger than {most}: give a smaller value")
+    for name, value in fields.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"policy.{name}={value} is not a finite number: give one")
+    for name in ("dataset_name", "environment", "kinematic_map"):
+        if fields[name] is not None and not fields[name].isprintable():
+            raise ValueError(f"policy.{name}={fields[name]!a} holds control codes: give printable text")
+    _check_features(fields)
     noise = fields["observation_noise"]
     if noise is not None and not noise >= 0:
         raise ValueError(f"policy.observation_noise={noise} must not be negative: give 0 or more")
+
+
+def _check_features(fields: Mapping[str, Any]) -> None:
+    for group in ("input_features", "output_features"):
+        for key, feature in (fields[group] or {}).items():
+            if feature.type is FeatureType.VISUAL:
+                continue  # left alone by the policy
+            if not feature.shape or min(feature.shape) < 1 or math.prod(feature.shape) > WIDEST_FEATURE:
+                raise ValueError(
+                    f"policy.{group}[{key!r}] has shape {list(feature.shape)}, expected 1 to {WIDEST_FEATURE} numbers: "
+                    "give the shape of the dataset's feature"
+                )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamConfig
 from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig, LRSchedulerConfig
 
-from dualhead_policy.configuration_checks import check_values
+from dualhead_policy.configuration_checks import MOST_PARAMETERS, check_values
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.representation import RepresentationLayout
 
@@ -78,6 +79,9 @@ class DualheadConfig(PreTrainedConfig):
         optimizer_lr, optimizer_betas, optimizer_grad_clip_norm: Adam's settings.
         lr_schedule, lr_warmup_steps: ``"cosine"`` to zero over the run, or ``"constant"``, after a warm-up.
     """
+
+    #: How pydantic checks the configuration of a policy's folder.
+    __pydantic_config__: ClassVar = {"extra": "forbid", "allow_inf_nan": False}
 
     chunk_size: int = 16
     n_action_steps: int | None = None
@@ -210,6 +214,12 @@ def _check_together(config: DualheadConfig) -> None:
         raise ValueError(
             f"policy.padded_steps={config.padded_steps} must lie in 0..chunk_size-1={config.chunk_size - 1}: a window "
             "has at least one recorded action"
+        )
+    parameters = 3 * config.velocity_layers * config.velocity_width**2
+    if parameters > MOST_PARAMETERS:
+        raise ValueError(
+            f"policy.velocity_layers={config.velocity_layers} and policy.velocity_width={config.velocity_width} make "
+            f"{parameters:.1e} parameters, expected at most {MOST_PARAMETERS:.0e}: give smaller ones"
         )
     _check_tokens(config)
     _check_latent(config)

@@ -6,12 +6,13 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-import draccus
-from lerobot.configs import PreTrainedConfig
-from lerobot.policies import make_pre_post_processors
-
+from dualhead_envs.validated_json import read_json, validated
 from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.hub_folder import file_inside
 from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.processor_loading import load_processors
+
+REMEDY = "load the folder that the policy was saved to"
 
 
 def policy_folder(path: str | Path) -> Path:
@@ -33,33 +34,37 @@ def policy_folder(path: str | Path) -> Path:
 def load_policy(path: str | Path, *, device: str = "cpu") -> tuple[DualheadPolicy, Any]:
     """Load a policy and its preprocessor.
 
+    The folder may be somebody else's: no code of it is run, and no file outside it is opened.
+
     Args:
         path: As :func:`policy_folder` accepts it.
         device: Where the policy runs.
 
     Raises:
-        FileNotFoundError: If there is no policy, or it lacks its weights.
-        ValueError: If the configuration has unknown keys or is of another policy, or the weights do not belong
-            to it.
+        FileNotFoundError: If there is no policy, or it lacks a file.
+        ValueError: If the configuration has unknown keys or is of another policy, the weights do not belong
+            to it, or its processors are not a dual-head policy's.
     """
     folder = policy_folder(path)
-    try:
-        config = PreTrainedConfig.from_pretrained(folder, cli_overrides=[f"--device={device}"])
-    except (draccus.utils.DecodingError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(
-            f"{folder / 'config.json'} is not a dualhead configuration ({reason}): load the folder that the "
-            "policy was saved to"
-        ) from error
-    if not isinstance(config, DualheadConfig):
-        raise ValueError(
-            f"{folder} holds a policy of type {config.type!r}, expected 'dualhead': give a dual-head policy"
-        )
+    config = read_configuration(folder, device=device)
     with contextlib.redirect_stdout(None):
         policy = DualheadPolicy.from_pretrained(folder, config=config)
-        preprocessor, _ = make_pre_post_processors(
-            config,
-            pretrained_path=str(folder),
-            preprocessor_overrides={"device_processor": {"device": device}},
-        )
+        preprocessor, _ = load_processors(folder, config)
     return policy, preprocessor
+
+
+def read_configuration(folder: Path, *, device: str) -> DualheadConfig:
+    """The configuration of a trained policy, ``config.json`` of its folder.
+
+    Raises:
+        FileNotFoundError: If it is missing.
+        ValueError: If it is of another policy, or one of its fields is unknown or holds what it cannot.
+    """
+    source = file_inside(folder, "config.json")
+    document = read_json(source, kind="a dualhead configuration", remedy=REMEDY)
+    if not isinstance(document, dict) or document.pop("type", None) != "dualhead":
+        raise ValueError(f"{source} holds no policy of type 'dualhead': give a dual-head policy")
+    config = validated(document | {"device": device}, DualheadConfig, source=str(source), remedy=REMEDY)
+    if config.representation is None:
+        raise ValueError(f"{source} has no representation, expected that of a trained policy: {REMEDY}")
+    return config

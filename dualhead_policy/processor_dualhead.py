@@ -12,6 +12,10 @@ from torch import Tensor
 
 from dualhead_policy.configuration_dualhead import DualheadConfig
 
+#: A preprocessor of observations and a postprocessor of actions.
+Processors = tuple[
+    PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
+]
 #: An observation that never varies beyond this in training is passed on unscaled. The hand's tilt in the
 #: demonstrations (0.2 mrad) and single precision's error in constants (0.4 mm) are below it: scaled to unit
 #: variance, a tilt of half a degree would be 40 standard deviations in closed loop.
@@ -21,10 +25,7 @@ OBSERVATION_STD_FLOOR = 3e-3
 def make_dualhead_pre_post_processors(
     config: DualheadConfig,
     dataset_stats: Mapping[str, Mapping[str, Any]] | None = None,
-) -> tuple[
-    PolicyProcessorPipeline[dict[str, Any], dict[str, Any]],
-    PolicyProcessorPipeline[PolicyAction, PolicyAction],
-]:
+) -> Processors:
     """Rename, batch, move and normalise observations; return actions as the policy gives them.
 
     Args:

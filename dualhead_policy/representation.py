@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any
+from typing import Any, ClassVar
 
 GROUPS = ("joint", "position", "rotation", "gripper")
+#: Longest name of a dimension or kinematic map, in characters; a map's name may hold a file's path.
+LONGEST_NAME = 4096
 
 
 @dataclass
@@ -27,6 +29,17 @@ class RepresentationLayout:
     rotation: list[str] = field(default_factory=list)
     gripper: list[str] = field(default_factory=list)
     kinematic_map: str = ""
+
+    #: How pydantic checks the layout in a policy's folder.
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+    def __post_init__(self) -> None:
+        for name in [*self.names, self.kinematic_map]:
+            if not name.isprintable() or len(name) > LONGEST_NAME:
+                raise ValueError(
+                    f"the action layout holds the name {name[:LONGEST_NAME]!a}, expected printable text of at "
+                    f"most {LONGEST_NAME} characters: rename that dimension"
+                )
 
     @property
     def ring_map(self) -> str | None:

@@ -17,12 +17,21 @@ from typing import Any
 
 from torch import Tensor
 
+from dualhead_envs.validated_json import Schema, read_validated, shown
+from dualhead_policy.hub_folder import file_inside
+from dualhead_policy.kinematics.robot_xml import ADVICE, MAX_CHARACTERS, parse_robot_xml
+
 #: What a kinematic map's name starts with when it names a file.
 FILE_SCHEME = "file:"
 #: File of a policy's folder with the robot's description: JSON, which LeRobot uploads where it leaves XML behind.
 CARRIED_FILE = "robot.json"
-#: Parts of an MJCF that need other files or refer to parts left out; none of them moves a body.
-_UNUSED_MJCF = ("asset", "actuator", "sensor", "contact", "tendon", "equality", "keyframe")
+
+
+class CarriedDescription(Schema):
+    """``robot.json`` of a policy's folder."""
+
+    kinematic_map: str
+    description: str
 
 
 @dataclass(frozen=True)
@@ -93,10 +102,12 @@ def read_robot_file(name: str) -> RobotDescription:
     path, _ = parse_robot_file(name)
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist: give the path of the robot's URDF or MJCF file")
+    if path.stat().st_size > 4 * MAX_CHARACTERS:
+        raise ValueError(f"{path} has {path.stat().st_size} bytes, too many for a robot: {ADVICE}")
     try:
         description = RobotDescription(name, path.read_text(encoding="utf-8"), path)
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is not XML ({error}): give the path of the robot's URDF or MJCF file") from error
+        raise ValueError(f"{path} is not XML (not UTF-8): {ADVICE}") from error
     assert description.chain is not None
     return description
 
@@ -114,31 +125,18 @@ def read_carried_description(name: str, folder: Path) -> RobotDescription:
         FileNotFoundError: If the folder has none.
         ValueError: If the copy is damaged or of another robot.
     """
-    copy = folder / CARRIED_FILE
-    if not copy.is_file():
-        raise FileNotFoundError(f"{copy} is missing: expected the description of {name!r}; copy the whole folder again")
-    try:
-        content = json.loads(copy.read_text(encoding="utf-8"))
-        named, xml = content["kinematic_map"], content["description"]
-        if not isinstance(xml, str) or named != name:
-            raise ValueError(f"it describes {named!r}, the configuration names {name!r}")
-    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError, ValueError) as error:
-        raise ValueError(f"{copy} holds no robot's description ({error}): copy the policy's folder again") from error
-    description = RobotDescription(name, xml, copy)
+    remedy = "copy the policy's whole folder again"
+    copy = file_inside(folder, CARRIED_FILE)
+    content = read_validated(copy, CarriedDescription, kind="a robot's description", remedy=remedy)
+    if content.kinematic_map != name:
+        raise ValueError(f"{copy} describes another robot than config.json names: {remedy}")
+    description = RobotDescription(name, content.description, copy)
     assert description.chain is not None
     return description
 
 
 def _serial_chain(xml: str, link: str, source: Path) -> Any:
-    try:
-        root = ElementTree.fromstring(xml)
-    except ElementTree.ParseError as error:
-        raise ValueError(f"{source} is not XML ({error}): give the path of the robot's URDF or MJCF file") from error
-    if root.tag not in ("robot", "mujoco"):
-        raise ValueError(
-            f"{source} begins with <{root.tag}>, expected <robot> (URDF) or <mujoco> (MJCF): give the path of the "
-            "robot's description"
-        )
+    root = parse_robot_xml(xml, source)
     # pytorch-kinematics prints its complaints about parts of the file that it does not use.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         import pytorch_kinematics
@@ -147,35 +145,16 @@ def _serial_chain(xml: str, link: str, source: Path) -> Any:
             if root.tag == "robot":
                 chain = pytorch_kinematics.build_chain_from_urdf(ElementTree.tostring(root))
             else:
-                chain = pytorch_kinematics.build_chain_from_mjcf(_bare_mjcf(root))
-        except (KeyError, ValueError, AttributeError) as error:
+                chain = pytorch_kinematics.build_chain_from_mjcf(ElementTree.tostring(root, encoding="unicode"))
+            links = chain.get_link_names() + chain.get_frame_names(exclude_fixed=False)
+            serial = pytorch_kinematics.SerialChain(chain, link) if link in links else None
+        # Three parsers, of URDF, MJCF and numbers, raise whatever they trip over.
+        except Exception as error:
             raise ValueError(
-                f"{source} cannot be read as a kinematic chain ({error}): expected a robot of hinges and slides, one "
-                "joint a body, without included files"
+                f"{source} cannot be read as a kinematic chain ({type(error).__name__}): expected a robot of hinges "
+                "and slides, one joint a body, without included files"
             ) from error
-        links = chain.get_link_names() + chain.get_frame_names(exclude_fixed=False)
-    if link not in links:
-        shown = ", ".join(sorted(set(links))[:12])
-        raise ValueError(f"{source} has no link {link!r}: choose one of its links ({shown}, ...)")
-    return pytorch_kinematics.SerialChain(chain, link)
-
-
-def _bare_mjcf(root: ElementTree.Element) -> str:
-    """The bodies, joints and sites of an MJCF: meshes and textures would have to be found and read."""
-    for part in [child for child in root if child.tag in _UNUSED_MJCF]:
-        root.remove(part)
-    for parent in list(root.iter()):
-        for child in [child for child in parent if child.tag in ("geom", "camera", "light", "skin", "flex")]:
-            parent.remove(child)
-        for body in parent.findall("body"):
-            # Objects that float in the scene; pytorch-kinematics knows hinges and slides only.
-            if any(joint.get("type") in ("free", "ball") for joint in body.findall("joint")) or (
-                body.find("freejoint") is not None
-            ):
-                parent.remove(body)
-    compiler = root.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(root, "compiler")
-    # MuJoCo wants every moving body to have inertia, which may have come from its geoms.
-    compiler.attrib.update(boundmass="0.001", boundinertia="1e-6")
-    return ElementTree.tostring(root, encoding="unicode")
+    if serial is None:
+        known = ", ".join(sorted(shown(name) for name in set(links))[:12])
+        raise ValueError(f"{source} has no link {shown(link)}: choose one of its links ({known}, ...)")
+    return serial

@@ -13,13 +13,16 @@ from lerobot.common.train_utils import load_training_state, should_save_checkpoi
 from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.optim.factory import make_optimizer_and_scheduler
-from lerobot.policies import make_policy, make_pre_post_processors
+from lerobot.policies import make_policy
 from lerobot.utils.random_utils import set_seed
 
 from dualhead_envs.dataset_frames import read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.flow.loss import flow_loss
+from dualhead_policy.hub_folder import processor_folder
 from dualhead_policy.modeling_dualhead import MEASURE_EVERY, DualheadPolicy
+from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
+from dualhead_policy.processor_loading import load_processors
 from dualhead_policy.training.checkpoints import had_fresh_paths, write_checkpoint
 from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
 
@@ -57,12 +60,11 @@ class Training:
         policy = make_policy(cfg.policy, ds_meta=meta)
         assert isinstance(policy, DualheadPolicy)
         self.policy = policy.train()
-        processor_path = cfg.policy.pretrained_path
-        self.processors = make_pre_post_processors(
-            cfg.policy,
-            pretrained_path=str(processor_path) if processor_path else None,
-            **({} if cfg.resume else {"dataset_stats": meta.stats}),
-        )
+        if cfg.policy.pretrained_path:
+            origin = processor_folder(cfg.policy.pretrained_path, cfg.policy.pretrained_revision)
+            self.processors = load_processors(origin, cfg.policy)
+        else:
+            self.processors = make_dualhead_pre_post_processors(cfg.policy, meta.stats)
         self.optimizer, self.scheduler = make_optimizer_and_scheduler(cfg, self.policy)
         for group in self.optimizer.param_groups:
             group["fused"] = True

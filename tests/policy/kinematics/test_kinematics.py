@@ -117,7 +117,7 @@ def test_another_robot_comes_as_a_urdf(tmp_path):
         ("file:{robot}#elbow", ValueError, "has no link 'elbow'"),
         ("file:{robot}.gone#tip", FileNotFoundError, "does not exist"),
         ("file:{text}#tip", ValueError, "is not XML"),
-        ("file:{page}#tip", ValueError, "begins with <html>"),
+        ("file:{page}#tip", ValueError, "begins with neither <robot>"),
         ("file:{part}#tip", ValueError, "cannot be read as a kinematic chain"),
     ],
 )

@@ -1,0 +1,146 @@
+"""Safe loading of a folder's pre- and post-processor: only the steps that ours have, nothing that it names freely.
+
+LeRobot's loader imports whatever class ``policy_preprocessor.json`` names and calls it with the arguments given there.
+Here the two files are checked first: the steps of :func:`make_dualhead_pre_post_processors`, in their order, by
+registry name, each with the arguments that it knows, and states from files of the folder itself.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
+from lerobot.policies import make_pre_post_processors
+from pydantic import Field
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from dualhead_envs.validated_json import Label, Schema, read_validated
+from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.hub_folder import file_inside
+from dualhead_policy.processor_dualhead import Processors
+
+PREPROCESSOR_FILE, POSTPROCESSOR_FILE = "policy_preprocessor.json", "policy_postprocessor.json"
+REMEDY = "load the folder that the policy was saved to"
+
+
+class RenameOptions(Schema):
+    rename_map: dict[Label, Label]
+
+
+class NoOptions(Schema):
+    pass
+
+
+class DeviceOptions(Schema):
+    device: Label
+    float_dtype: Literal[None, "float32"] = None
+
+
+class NormalizerOptions(Schema):
+    eps: Annotated[float, Field(ge=0, le=1e-3)]
+    features: dict[Label, PolicyFeature]
+    norm_map: dict[FeatureType, NormalizationMode]
+
+
+class Rename(Schema):
+    registry_name: Literal["rename_observations_processor"]
+    config: RenameOptions
+
+
+class ToBatch(Schema):
+    registry_name: Literal["to_batch_processor"]
+    config: NoOptions
+
+
+class ToDevice(Schema):
+    registry_name: Literal["device_processor"]
+    config: DeviceOptions
+
+
+class Normalize(Schema):
+    registry_name: Literal["normalizer_processor"]
+    config: NormalizerOptions
+    state_file: Label
+
+
+class Unnormalize(Schema):
+    registry_name: Literal["unnormalizer_processor"]
+    config: NormalizerOptions
+    state_file: Label
+
+
+class Preprocessor(Schema):
+    """``policy_preprocessor.json``."""
+
+    name: Literal["policy_preprocessor"]
+    steps: tuple[Rename, ToBatch, ToDevice, Normalize]
+
+
+class Postprocessor(Schema):
+    """``policy_postprocessor.json``."""
+
+    name: Literal["policy_postprocessor"]
+    steps: tuple[Unnormalize, ToDevice]
+
+
+def load_processors(folder: Path, config: DualheadConfig) -> Processors:
+    """The pre- and the post-processor of a policy's folder, on the configuration's device.
+
+    Args:
+        folder: The policy's folder.
+        config: Its configuration.
+
+    Raises:
+        FileNotFoundError: If a file is missing.
+        ValueError: If a file names another step, has other options, or holds statistics that do not fit.
+    """
+    pre = read_validated(
+        file_inside(folder, PREPROCESSOR_FILE), Preprocessor, kind="a dual-head policy's preprocessor", remedy=REMEDY
+    )
+    post = read_validated(
+        file_inside(folder, POSTPROCESSOR_FILE), Postprocessor, kind="a dual-head policy's postprocessor", remedy=REMEDY
+    )
+    for file, step in ((PREPROCESSOR_FILE, pre.steps[-1]), (POSTPROCESSOR_FILE, post.steps[0])):
+        own = {FeatureType(key): mode for key, mode in config.normalization_mapping.items()}
+        if step.config.norm_map != own:
+            raise ValueError(
+                f"{folder / file} normalises by {_modes(step.config.norm_map)}, config.json by {_modes(own)}: {REMEDY}"
+            )
+        _check_state(file_inside(folder, step.state_file), config)
+    return make_pre_post_processors(
+        config,
+        pretrained_path=str(folder),
+        preprocessor_overrides={"device_processor": {"device": config.device}},
+    )
+
+
+def _modes(norm_map: dict[FeatureType, NormalizationMode]) -> dict[str, str]:
+    return {feature.value: mode.value for feature, mode in norm_map.items()}
+
+
+def _check_state(path: Path, config: DualheadConfig) -> None:
+    """Refuse statistics with which observations would be normalised to nonsense."""
+    try:
+        state = load_file(path)
+    except SafetensorError as error:
+        raise ValueError(f"{path} is not a complete safetensors file: it may be truncated; {REMEDY}") from error
+    for key, feature in (config.input_features or {}).items():
+        if feature.type not in (FeatureType.STATE, FeatureType.ENV):
+            continue
+        for statistic in ("mean", "std"):
+            name = f"{key}.{statistic}"
+            _check_statistic(path, name, state.get(name), feature.shape)
+
+
+def _check_statistic(path: Path, name: str, values: Tensor | None, shape: tuple[int, ...]) -> None:
+    if values is None:
+        raise ValueError(f"{path} lacks {name!r}, expected mean and std of every observation: {REMEDY}")
+    if tuple(values.shape) != tuple(shape):
+        raise ValueError(f"{path} holds {name!r} of shape {tuple(values.shape)}, expected {tuple(shape)}: {REMEDY}")
+    if not torch.isfinite(values).all() or (name.endswith(".std") and not (values > 0).all()):
+        expected = "positive finite numbers" if name.endswith(".std") else "finite numbers"
+        raise ValueError(f"{path} holds {name!r} = {values.tolist()[:4]}, expected {expected}: {REMEDY}")
