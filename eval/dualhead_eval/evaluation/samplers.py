@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -134,7 +135,7 @@ def open_policy(path: str | Path, *, device: str = "cpu") -> Source:
 
 
 def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
-    """What a gate file says of the policy loaded from ``folder``: configuration, training steps, training run."""
+    """A gate file's account of the policy loaded from ``folder``: configuration, weights, training steps and run."""
     import draccus
 
     config = draccus.encode(policy.config)
@@ -143,6 +144,7 @@ def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
         config.pop(name, None)
     return {
         "config": config,
+        "checkpoint": _fingerprint(folder / "model.safetensors"),
         "training_step": int(policy.training_step),
         "training": training_summary(folder),
     }
@@ -210,8 +212,10 @@ def training_summary(folder: Path) -> dict[str, Any]:
 
     Returns:
         ``batch_size``, ``steps`` (the run's budget), ``seed`` and ``fresh_paths`` where the folder holds its training
-        configuration; ``final_loss`` and ``plateaued`` where the run's log is at hand. A loss counts as plateaued when
-        the last tenth of the log is within 1 % of the tenth before it.
+        configuration; ``final_loss``, ``plateaued`` and ``judged_loss`` where the run's log is at hand. The flow loss
+        is judged (``judged_loss`` is ``"flow_loss"``), because free bits and a prior's cross-entropy move the total
+        loss too; logs without it are judged on the total loss (``"loss"``). A loss counts as plateaued when the last
+        tenth of the log is within 1 % of the tenth before it.
     """
     from dualhead_policy.training.checkpoints import had_fresh_paths
 
@@ -224,11 +228,19 @@ def training_summary(folder: Path) -> dict[str, Any]:
     log = folder.parents[2] / "training_log.jsonl" if len(folder.parents) >= 3 else None
     if log is None or not log.is_file():
         return summary
-    losses = [json.loads(line)["loss"] for line in log.read_text().splitlines() if line]
-    tenth = max(1, len(losses) // 10)
-    if not losses:
+    lines = [json.loads(line) for line in log.read_text().splitlines() if line]
+    if not lines:
         return summary
+    judged = "flow_loss" if all("flow_loss" in line for line in lines) else "loss"
+    losses = [line[judged] for line in lines]
+    tenth = max(1, len(losses) // 10)
     last = float(np.mean(losses[-tenth:]))
     before = float(np.mean(losses[-2 * tenth : -tenth])) if len(losses) >= 2 * tenth else None
     plateaued = before is not None and abs(before - last) <= 0.01 * abs(before)
-    return summary | {"final_loss": last, "plateaued": plateaued}
+    return summary | {"final_loss": last, "plateaued": plateaued, "judged_loss": judged}
+
+
+def _fingerprint(weights: Path) -> str:
+    """The sha256 of a checkpoint's weights, by which two evaluations of one checkpoint are told from two seeds."""
+    with weights.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
