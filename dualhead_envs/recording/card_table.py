@@ -33,5 +33,7 @@ def render_card(card: Mapping[str, Any], title: str = "Geometry card") -> Table:
 
 def _number(value: Any) -> str:
     if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+        return "-"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.4f}" if abs(value) < 1.0 else f"{value:.2f}"

@@ -6,18 +6,18 @@ renamed, so that what is listed can be trusted and what is missing is recorded a
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import shutil
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
+from dualhead_envs.recording.claim import claimed, discard
 from dualhead_envs.recording.episode import Episode
 
 _FRAME_COLUMNS = ("observation_state", "environment_state", "action")
@@ -42,28 +42,19 @@ class ShardStore:
     def __init__(self, folder: Path, configuration: Mapping[str, Any]):
         self.folder = Path(folder)
         self.configuration = json.loads(json.dumps(configuration))
-        self._lock: int | None = None
+        self._claim = ExitStack()
 
     def __enter__(self) -> Self:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._lock = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._claim()
-        except BlockingIOError:
-            self._release()
-            raise BlockingIOError(
-                f"{self.folder} is in use by another process: wait for it, or choose another output folder"
-            ) from None
-        except BaseException:
-            self._release()
-            raise
+        with ExitStack() as claim:
+            claim.enter_context(claimed(self.folder))
+            self._prepare()
+            self._claim = claim.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._release()
+        self._claim.close()
 
     def names(self) -> list[str]:
         """Names of the finished shards, sorted."""
@@ -131,13 +122,9 @@ class ShardStore:
 
     def discard(self) -> None:
         """Delete the staging folder; the store is of no further use."""
-        # Renamed first: another process that is about to look must find all of it or nothing.
-        doomed = self.folder.with_name(self.folder.name + ".discarded")
-        shutil.rmtree(doomed, ignore_errors=True)
-        self.folder.rename(doomed)
-        shutil.rmtree(doomed)
+        discard(self.folder)
 
-    def _claim(self) -> None:
+    def _prepare(self) -> None:
         path = self.folder / "configuration.json"
         if path.exists() and self.names():
             found = json.loads(path.read_text())
@@ -155,11 +142,6 @@ class ShardStore:
             write_atomically(path, json.dumps(self.configuration, indent=2) + "\n")
         for leftover in self.folder.glob("*.partial"):
             leftover.unlink()
-
-    def _release(self) -> None:
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
 
 
 def write_atomically(path: Path, text: str) -> None:

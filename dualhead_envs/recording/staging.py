@@ -3,17 +3,50 @@
 from __future__ import annotations
 
 import errno
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dualhead_envs.recording.claim import claimed, discard
 from dualhead_envs.recording.shards import ShardStore, sync_folder
 
 
 @contextmanager
+def staging_folder(root: Path) -> Iterator[Path]:
+    """An empty folder in which to make what :func:`publish` then renames to ``root``, for this process alone.
+
+    It lies in a hidden sibling of ``root``, ``.<name>.partial``, which is emptied of what a killed process left and
+    deleted at the end; only a product that could not be published, because ``root`` was filled meanwhile, stays there.
+
+        with staging_folder(root) as folder:
+            ...write folder / "dataset"...
+            publish(folder / "dataset", root)
+
+    Raises:
+        FileExistsError: If ``root`` holds anything.
+        BlockingIOError: If another process makes ``root``.
+        OSError: If the disk is full.
+    """
+    refuse_occupied(root)
+    with claimed(root.with_name(f".{root.name}.partial"), root) as partial, _disk_full_in_words("was made is lost"):
+        folder = partial / "work"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        try:
+            refuse_occupied(root)  # another process may have finished between the first look and the claim
+            yield folder
+        except BaseException as error:
+            if not (isinstance(error, FileExistsError) and any(folder.iterdir())):
+                discard(partial)
+            raise
+        discard(partial)
+
+
+@contextmanager
 def staging_for(root: Path, configuration: Mapping[str, Any]) -> Iterator[ShardStore]:
-    """The locked staging store of the output folder ``root``: a hidden sibling, ``.<name>.recording``.
+    """The claimed staging store of the output folder ``root``: a hidden sibling, ``.<name>.recording``.
 
     Shards of an interrupted recording with the same ``configuration`` are found in it.
 
@@ -22,34 +55,54 @@ def staging_for(root: Path, configuration: Mapping[str, Any]) -> Iterator[ShardS
         BlockingIOError: If another process records into ``root``.
         OSError: If the disk is full.
     """
-    _refuse_occupied(root)
-    with ShardStore(root.with_name(f".{root.name}.recording"), configuration) as store:
+    refuse_occupied(root)
+    with (
+        ShardStore(root.with_name(f".{root.name}.recording"), configuration) as store,
+        _disk_full_in_words("was recorded is kept"),
+    ):
         try:
-            _refuse_occupied(root)  # another process may have finished between the first look and the lock
+            refuse_occupied(root)  # another process may have finished between the first look and the claim
             yield store
-        except BaseException as error:
+        except BaseException:
             if not store.names():  # nothing to resume
                 store.discard()
-            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-                advice = "the disk is full: free some space and repeat the command, what was recorded is kept"
-                raise OSError(error.errno, advice) from error
             raise
 
 
-def publish(dataset: Path, root: Path) -> None:
-    """Rename the finished ``dataset`` to ``root``, which must not hold anything.
+def publish(product: Path, root: Path) -> None:
+    """Rename the finished folder ``product`` to ``root``, which must not hold anything.
 
     Raises:
-        FileExistsError: If ``root`` has been filled in the meantime.
+        FileExistsError: If ``root`` has been filled in the meantime; ``product`` stays where it is.
     """
-    _refuse_occupied(root)
-    dataset.rename(root)  # replaces an empty folder, and nothing else
+    try:
+        refuse_occupied(root)
+    except FileExistsError as error:
+        raise FileExistsError(f"{error}; what was to become it is in {product}") from error
+    product.rename(root)  # replaces an empty folder, and nothing else
     sync_folder(root.parent)
 
 
-def _refuse_occupied(root: Path) -> None:
+def refuse_occupied(root: Path) -> None:
+    """Refuse an output folder that holds anything.
+
+    Raises:
+        FileExistsError: If ``root`` is a file, or a folder that is not empty.
+    """
     if root.is_dir() and any(root.iterdir()):
-        found = "a dataset" if (root / "card.json").exists() else "other files"
+        dataset = (root / "card.json").exists() or (root / "meta" / "info.json").exists()
+        found = "a dataset" if dataset else "other files"
         raise FileExistsError(f"{root} already holds {found}: choose another output folder, or delete this one first")
     if root.exists() and not root.is_dir():
         raise FileExistsError(f"{root} is a file: choose another output folder")
+
+
+@contextmanager
+def _disk_full_in_words(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        advice = f"the disk is full: free some space and repeat the command, what {what}"
+        raise OSError(error.errno, advice) from error
