@@ -120,7 +120,8 @@ def run(args: argparse.Namespace) -> int:
 def _print_summary(root: Path, seconds: float) -> None:
     """What was recorded: a line for each split, and the geometry card."""
     from rich.console import Console
-    from rich.table import Table
+
+    from dualhead_envs.recording.card_table import render_card
 
     console = Console()
     console.print(f"Recorded {root} in {seconds:.1f} s", highlight=False, soft_wrap=True)
@@ -130,23 +131,4 @@ def _print_summary(root: Path, seconds: float) -> None:
             f"  {split:5} {info['total_episodes']:7,} episodes {info['total_frames']:9,} frames",
             highlight=False,
         )
-    card = json.loads((root / "card.json").read_text())
-    table = Table(box=None, pad_edge=False, title="Geometry card (card.json)", title_justify="left")
-    for heading, justify in (
-        ("quantity", "left"),
-        ("measured", "right"),
-        ("paper", "right"),
-        ("meaning", "left"),
-    ):
-        table.add_column(heading, justify=justify, no_wrap=heading != "meaning")  # type: ignore[arg-type]
-    for key, value in card["measured"].items():
-        table.add_row(key, _number(value), _number(card["paper"].get(key)), card["meanings"].get(key, ""))
-    console.print(table)
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "-"
-    if value == int(value):
-        return f"{int(value):,}"
-    return f"{value:.4f}" if abs(value) < 1 else f"{value:.2f}"
+    console.print(render_card(json.loads((root / "card.json").read_text()), title="Geometry card (card.json)"))

@@ -1,7 +1,8 @@
 """The geometry card: what a recording's two modes look like, beside what the paper says of its own.
 
 All lengths are in millimetres. The window is the 16 states after the branch point; per pair, the gap is the mean
-over the window of the distance between the two demonstrations at the same step.
+over the window of the distance between the two demonstrations at the same step. The apex is where the expert's route
+turns; a path's apex is its outermost point within the window. A demonstration is valid if its window reaches tau.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dualhead_envs.bypass.partition import BypassPartition
 from dualhead_envs.recording.episode import Episode
 
 HORIZON = 16
@@ -47,15 +49,22 @@ MEANINGS = {
     "lateral_share_min": "share of the separation that is along y, smallest",
     "lateral_share_mean": "... its mean",
     "endpoint_gap_max_mm": "distance between the two last states, largest",
-    "apex_error_mean_mm": "distance of the path from the commanded apex, mean",
+    "apex_error_mean_mm": "distance of the path's apex from the commanded one, mean",
     "apex_error_max_mm": "... largest",
+    "overshoot_mean_mm": "... the same, negative where the path stays inside, mean",
     "clearance_min_mm": "distance of anything that moves from the obstacle, smallest",
+    "valid_share_train": "share of the demonstrations in train that the partition calls valid at its tau",
+    "valid_share_val": "... in val",
+    "valid_share_test": "... in test: no policy can be expected to be valid more often than its data",
     "single_feature_auroc": "best AUROC of one scalar of the window for the mode (v3: for the generator's A or B)",
 }
 
 
-def geometry_card(env_id: str, pairs: Sequence[tuple[Episode, Episode]], rejections: int) -> dict[str, Any]:
-    """The card of ``pairs`` (mode 0, mode 1): measured values, the paper's, and what they mean."""
+def geometry_card(
+    env_id: str, splits: Mapping[str, Sequence[tuple[Episode, Episode]]], partition: BypassPartition, rejections: int
+) -> dict[str, Any]:
+    """The card of train, val and test, lists of pairs (mode 0, mode 1): measured values, the paper's, and meanings."""
+    pairs = [pair for split in splits.values() for pair in split]
     gaps = np.array([_window(a)[:, POSITION] - _window(b)[:, POSITION] for a, b in pairs]) * 1e3
     distance = np.linalg.norm(gaps, axis=2).mean(axis=1)
     separation = gaps.mean(axis=1)
@@ -64,6 +73,7 @@ def geometry_card(env_id: str, pairs: Sequence[tuple[Episode, Episode]], rejecti
     share = np.abs(separation[:, 1]) / np.linalg.norm(separation, axis=1)
     ends = np.array([a.action[-1, POSITION] - b.action[-1, POSITION] for a, b in pairs]) * 1e3
     apex = np.array([e.extra["apex_error"] for pair in pairs for e in pair]) * 1e3
+    overshoot = np.array([e.extra["overshoot"] for pair in pairs for e in pair]) * 1e3
     clearance = np.array([e.extra["clearance"] for pair in pairs for e in pair]) * 1e3
     feature, auroc = _best_feature(pairs)
     measured = {
@@ -81,7 +91,9 @@ def geometry_card(env_id: str, pairs: Sequence[tuple[Episode, Episode]], rejecti
         "endpoint_gap_max_mm": float(np.linalg.norm(ends, axis=1).max()),
         "apex_error_mean_mm": float(apex.mean()),
         "apex_error_max_mm": float(apex.max()),
+        "overshoot_mean_mm": float(overshoot.mean()),
         "clearance_min_mm": float(clearance.min()),
+        **{f"valid_share_{split}": _valid_share(split_pairs, partition) for split, split_pairs in splits.items()},
         "single_feature_auroc": auroc,
     }
     measured["mode_gap_cv"] = measured["mode_gap_sd_mm"] / measured["mode_gap_mean_mm"]
@@ -96,20 +108,11 @@ def geometry_card(env_id: str, pairs: Sequence[tuple[Episode, Episode]], rejecti
     }
 
 
-def card_rows(card: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """The card as rows of text: quantity, measured, paper, meaning."""
-    return [
-        (key, _number(value), _number(card["paper"].get(key)), card["meanings"].get(key, ""))
-        for key, value in card["measured"].items()
-    ]
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, int) or value == int(value):
-        return str(int(value))
-    return f"{value:.4f}" if abs(value) < 1.0 else f"{value:.2f}"
+def _valid_share(pairs: Sequence[tuple[Episode, Episode]], partition: BypassPartition) -> float:
+    episodes = [episode for pair in pairs for episode in pair]
+    windows = np.array([_window(episode)[:, POSITION] for episode in episodes])
+    condition = np.array([episode.environment_state[0] for episode in episodes])
+    return float((partition.assign(windows, condition) >= 0).mean())
 
 
 def _window(episode: Episode) -> np.ndarray:

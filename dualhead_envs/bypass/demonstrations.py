@@ -16,9 +16,12 @@ from dualhead_envs.bypass.demonstrator import (
     route_apex,
 )
 from dualhead_envs.bypass.environment import BypassEnv
+from dualhead_envs.bypass.task import ROUTE_CENTER, ROUTE_FLATTENING
 
 #: The modes part where the two demonstrations are further apart than this (m; paper, app:prereg).
 SEPARATION = 1e-5
+#: States after the branch point that make up the window.
+HORIZON = 16
 
 
 @dataclass
@@ -30,7 +33,8 @@ class Demonstration:
         environment_state: Observations (T + 1, C) float32.
         gripper: Gripper commands (T,).
         clearance: Smallest distance to the obstacle (m) on the way past it.
-        apex_error: Smallest distance (m) in the cross-section (y, z) from the route's apex.
+        apex_error: Distance (m) in the cross-section (y, z) of the window's outermost point from the commanded apex.
+        overshoot: How much further out than the apex that point is (m); negative if the path stays inside.
         success: Whether the cube ended at the goal without a collision.
     """
 
@@ -39,6 +43,7 @@ class Demonstration:
     gripper: list[float] = field(default_factory=list)
     clearance: float = np.inf
     apex_error: float = np.inf
+    overshoot: float = -np.inf
     success: bool = False
 
     def positions(self) -> np.ndarray:
@@ -92,13 +97,29 @@ def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
         demonstration = Demonstration(list(shared.agent_pos), list(shared.environment_state), list(shared.gripper))
         _execute(env, commands[mode][branch_step:], start_rotation, demonstration, measure_clearance=True)
         apex = route_apex(env.bypass, initial, mode, amplitude)
-        offsets = demonstration.positions()[branch_step:, 1:] - apex[1:3]
-        demonstration.apex_error = float(np.linalg.norm(offsets, axis=1).min())
+        demonstration.apex_error, demonstration.overshoot = apex_miss(
+            demonstration.positions()[branch_step + 1 : branch_step + 1 + HORIZON, 1:], apex[1:3]
+        )
         demonstrations.append(demonstration)
     first, second = demonstrations
     shortest = min(len(first.gripper), len(second.gripper)) + 1
     apart = np.linalg.norm(first.positions()[:shortest] - second.positions()[:shortest], axis=1) > SEPARATION
     return Pair((first, second), int(np.argmax(apart)) - 1, amplitude)
+
+
+def apex_miss(path: np.ndarray, apex: np.ndarray) -> tuple[float, float]:
+    """How far the outermost point of ``path`` (T, 2) lies from ``apex`` (2,), and how much further out (m).
+
+    Both are points (y, z) of the cross-section. Outermost is the largest projection on the direction of the apex in
+    the cross-section as the partition sees it, without its flattening.
+    """
+    scale = np.array([1.0, ROUTE_FLATTENING])
+    direction = (apex - ROUTE_CENTER) / scale
+    radius = np.linalg.norm(direction)
+    reach = (path - ROUTE_CENTER) / scale @ (direction / radius)
+    outermost = int(reach.argmax())
+    distance = float(np.linalg.norm(path[outermost] - apex))
+    return distance, float(np.copysign(distance, reach[outermost] - radius))
 
 
 def _execute(

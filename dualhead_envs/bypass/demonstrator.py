@@ -24,6 +24,11 @@ OPEN, CLOSED = -1.0, 1.0
 #: 143.7 mm within the window, the deviation its spread.
 AMPLITUDE, AMPLITUDE_DEVIATION = 0.1695, 0.0008
 
+#: Steps of v3's way out and of the rest at its end, and the damping ratio of the hand there. An under-damped hand runs
+#: past the apex, outward, by about 4 mm, in proportion to how far it came; the steps then set the gap of 162 mm (paper,
+#: app:prereg). Everything else is approached with critical damping.
+_ROUTE_STEPS, _ROUTE_HOLD, _ROUTE_DAMPING = 8, 7, 0.83
+
 _ABOVE_CUBE, _AT_CUBE, _LIFTED = 0.9215, 0.8215, 0.955
 _OUT_X = -0.10
 #: Back in the middle, above the obstacle's top; the hand, 204 mm wide along x, goes down further out.
@@ -38,13 +43,17 @@ _BASE_X, _REACH = -0.56, 0.765
 
 @dataclass(frozen=True)
 class Leg:
-    """One segment: to ``position`` (3,) and ``yaw`` in ``steps``, then ``hold`` steps there."""
+    """One segment: to ``position`` (3,) and ``yaw`` in ``steps``, then ``hold`` steps there.
+
+    ``damping`` is the hand's damping ratio on the way: 1 arrives without overshoot, less runs past the end and returns.
+    """
 
     position: tuple[float, float, float]
     yaw: float
     steps: int
     hold: int
     gripper: float
+    damping: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -68,32 +77,37 @@ def minimum_jerk(steps: int) -> np.ndarray:
 def follow(legs: Sequence[Leg], position: np.ndarray) -> Commands:
     """The commands of ``legs``, one after the other, from rest at ``position`` (3,) and yaw 0, made smooth."""
     place = np.append(position, 0.0)
-    places, gripper = [], []
+    places, gripper, damping = [], [], []
     for leg in legs:
         share = np.concatenate([minimum_jerk(leg.steps), np.ones(leg.hold)])[:, None]
         target = np.append(leg.position, leg.yaw)
         places.append(place + share * (target - place))
         gripper.append(np.full(len(share), leg.gripper))
+        damping.append(np.full(len(share), leg.damping))
         place = target
-    smooth = critically_damped(np.concatenate(places), np.append(position, 0.0))
+    smooth = damped(np.concatenate(places), np.append(position, 0.0), np.concatenate(damping))
     return Commands(smooth[:, :3], smooth[:, 3], np.concatenate(gripper))
 
 
-def critically_damped(goals: np.ndarray, start: np.ndarray) -> np.ndarray:
+def damped(goals: np.ndarray, start: np.ndarray, damping: np.ndarray) -> np.ndarray:
     """A point that is drawn to each of ``goals`` (T, d) for one control step, at the end of that step.
 
-    It obeys x'' = w^2 (goal - x) - 2 w x' from rest at ``start`` (d,), integrated exactly. This is how a hand under
-    robosuite's default gain follows jumping goals; commanded as a path, it rounds off the corners between legs.
+    It obeys x'' = w^2 (goal - x) - 2 zeta w x' from rest at ``start`` (d,), integrated exactly, with zeta in (0, 1] the
+    step's entry of ``damping`` (T,). This is how a hand under robosuite's default gain follows jumping goals; commanded
+    as a path, it rounds off the corners between legs.
     """
     w, dt = np.sqrt(ROBOSUITE_STIFFNESS), CONTROL_PERIOD
-    decay = np.exp(-w * dt)
     point, velocity = start, np.zeros_like(start)
     path = []
-    for goal in goals:
+    for goal, zeta in zip(goals, damping, strict=True):
+        ringing = w * np.sqrt(1.0 - zeta**2)
+        cosine, sine = np.cos(ringing * dt), dt * np.sinc(ringing * dt / np.pi)  # sin(x dt) / x, which is dt at x = 0
+        decay = np.exp(-zeta * w * dt)
         offset = point - goal
-        slope = velocity + w * offset
-        point = goal + (offset + slope * dt) * decay
-        velocity = (slope - w * (offset + slope * dt)) * decay
+        slope = velocity + zeta * w * offset
+        swing = offset * cosine + slope * sine
+        point = goal + swing * decay
+        velocity = (slope * cosine - ringing**2 * sine * offset - zeta * w * swing) * decay
         path.append(point)
     return np.array(path)
 
@@ -127,8 +141,10 @@ def route_apex(task: BypassTask, initial: InitialState, mode: int, amplitude: fl
 def pass_and_release(task: BypassTask, initial: InitialState, mode: int, amplitude: float) -> list[Leg]:
     """From the lift pose past the obstacle by ``mode``, behind it, back to the middle, down, and let go."""
     _, y, z, yaw = route_apex(task, initial, mode, amplitude)
-    steps, hold = (14, 0) if task.route_radius is None else (7, 8)
-    legs = [Leg((_OUT_X, y, z), yaw, steps, hold, CLOSED)]
+    if task.route_radius is None:
+        legs = [Leg((_OUT_X, y, z), yaw, 14, 0, CLOSED)]
+    else:
+        legs = [Leg((_OUT_X, y, z), yaw, _ROUTE_STEPS, _ROUTE_HOLD, CLOSED, _ROUTE_DAMPING)]
     beside = min(_BEHIND[0], _BASE_X + float(np.sqrt(_REACH**2 - y**2)))
     legs.append(Leg((beside, y, max(z, _CARRY_Z)), yaw, 24, 2, CLOSED))
     return [

@@ -159,7 +159,7 @@ class RotatingPartition(BypassPartition):
 
 
 #: Mean over the 16-step window of the demonstrated yaw, as a share of the route's full yaw (measured).
-YAW_SHARE = 0.61
+YAW_SHARE = 0.60
 
 
 def _positions(path: ArrayLike) -> np.ndarray:

@@ -89,7 +89,7 @@ def record_bypass(
     env_kwargs = dict(env_kwargs or {})
     env: Any = gym.make(f"dualhead_envs:{env_id}", **env_kwargs).unwrapped  # refuses bad arguments before any work
     configuration = {
-        "recorder": "bypass/1", "env_id": env_id, "env_kwargs": env_kwargs, "pairs": pairs, "seed": seed,
+        "recorder": "bypass/2", "env_id": env_id, "env_kwargs": env_kwargs, "pairs": pairs, "seed": seed,
         "versions": {name: version(name) for name in ("mujoco", "robosuite")},
     }  # fmt: skip
     with staging_for(root, configuration) as store:
@@ -137,17 +137,16 @@ def _assemble(
     folder = store.folder / "dataset"
     shutil.rmtree(folder, ignore_errors=True)  # left by a kill during the assembly
     folder.mkdir()
-    start = 0
-    for split, size in sizes.items():
+    starts = np.cumsum([0, *sizes.values()])
+    splits = {split: pairs[start : start + size] for (split, size), start in zip(sizes.items(), starts, strict=False)}
+    for split in sizes:
         info = {
             "env_id": env.bypass.env_id, "env_kwargs": env_kwargs, "split": split, "seed": seed,
             "conditions_seed": seed, "horizon": HORIZON, "mode_probabilities": [0.5, 0.5],
             "partition": env.mode_partition.to_dict(), "rejections": rejections,
         }  # fmt: skip
-        shards = pairs[start : start + size]
-        assemble(shards, folder / split, env.layout, info, task=env.task_description)
-        start += size
-    card = geometry_card(env.bypass.env_id, pairs, rejections)
+        assemble(splits[split], folder / split, env.layout, info, task=env.task_description)
+    card = geometry_card(env.bypass.env_id, splits, env.mode_partition, rejections)
     write_atomically(folder / "card.json", json.dumps(card, indent=2) + "\n")
     publish(folder, root)
 
@@ -190,6 +189,7 @@ def _attempt(env_id: str, seed: int, attempt: int, parent: int) -> tuple[int, li
             extra={
                 "amplitude": pair.amplitude,
                 "apex_error": demonstration.apex_error,
+                "overshoot": demonstration.overshoot,
                 "clearance": demonstration.clearance,
                 "drawn_second": float((mode == 1) != drawn_second),
             },
@@ -223,15 +223,3 @@ def _shard(attempt: int) -> str:
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-
-
-def read_card(root: Path | str) -> dict[str, Any]:
-    """The geometry card of the data set ``root``.
-
-    Raises:
-        FileNotFoundError: If there is none.
-    """
-    path = Path(root) / "card.json"
-    if not path.exists():
-        raise FileNotFoundError(f"{path} does not exist: name a data set that `dualhead record` wrote")
-    return json.loads(path.read_text())

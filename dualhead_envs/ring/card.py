@@ -24,7 +24,9 @@ MEANINGS = {
     "train_paths": "paths to train on, each under a condition of its own",
     "held_out_conditions": "conditions in val and in test together, each shown in every mode",
     "rejections": "paths left out: none, so that the data are the mixture that the exact reference knows",
-    "invalid_share": "share of all paths that belong to no mode by the partition",
+    "valid_share_train": "share of the paths in train that the partition gives a mode, whichever",
+    "valid_share_val": "... in val",
+    "valid_share_test": "... in test: no policy can be expected to be valid more often than its data",
     "other_mode_share": "share of all paths that the partition gives another mode than the expert meant",
     "mode_gap_mean_mm": "distance between the two nearest modes of a held-out condition, mean over the path",
     "mode_gap_sd_mm": "... its standard deviation over conditions",
@@ -47,7 +49,10 @@ def ring_card(env_id: str, splits: Mapping[str, Sequence[Episode]], layout: Layo
         "train_paths": len(splits["train"]),
         "held_out_conditions": len(gaps),
         "rejections": 0,
-        "invalid_share": float((labels < 0).mean()),
+        **{
+            f"valid_share_{split}": float(np.mean([episode.extra["label"] >= 0 for episode in members]))
+            for split, members in splits.items()
+        },
         "other_mode_share": float(((labels >= 0) & (labels != modes)).mean()),
         "mode_gap_mean_mm": float(gaps.mean()),
         "mode_gap_sd_mm": float(gaps.std(ddof=1)),

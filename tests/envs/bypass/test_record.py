@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from dualhead_envs.bypass.card import card_rows
-from dualhead_envs.bypass.record import read_card, record_bypass, split_sizes
+from dualhead_envs.bypass.record import record_bypass, split_sizes
+from dualhead_envs.recording.card_table import render_card
 from dualhead_envs.recording.shards import ShardStore
 
 PAIRS = 4
@@ -36,6 +36,10 @@ def recording(tmp_path_factory):
 def content(root):
     """Every file of a data set with its bytes."""
     return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
+
+
+def read_card(root):
+    return json.loads((root / "card.json").read_text())
 
 
 def frames(split):
@@ -107,9 +111,31 @@ def test_the_card_says_what_was_measured_beside_the_paper(recording):
     assert 140 < measured["mode_gap_mean_mm"] < 190
     assert measured["clearance_min_mm"] > 20
     assert card["paper"]["mode_gap_mean_mm"] == 162.43
-    assert {row[0] for row in card_rows(card)} == set(measured)
-    with pytest.raises(FileNotFoundError, match="dualhead record"):
-        read_card(recording.parent)
+    assert list(render_card(card).columns[0].cells) == list(measured) == list(card["meanings"])
+
+
+def test_the_card_counts_the_demonstrations_that_the_partition_calls_valid(recording):
+    measured = read_card(recording)["measured"]
+    env = gym.make("dualhead_envs:RotatingBypass-v3").unwrapped
+    for split in ("train", "val", "test"):
+        columns = frames(recording / split)
+        starts = np.flatnonzero(columns["frame_index"] == 0)
+        windows = [
+            slice(start + columns["branch_step"][start], start + columns["branch_step"][start] + 16) for start in starts
+        ]
+        labels = [
+            env.mode_partition.assign(columns["action"][window, 7:10], columns["observation.environment_state"][start])
+            for window, start in zip(windows, starts, strict=True)
+        ]
+        assert measured[f"valid_share_{split}"] == np.mean(np.array(labels) >= 0)
+
+
+def test_a_route_overshoots_its_apex_outward_as_the_papers_does(recording):
+    card = read_card(recording)
+    measured = card["measured"]
+    assert measured["overshoot_mean_mm"] == measured["apex_error_mean_mm"], "every path turns outside its apex"
+    assert measured["apex_error_mean_mm"] == pytest.approx(card["paper"]["apex_error_mean_mm"], abs=0.6)
+    assert measured["apex_error_max_mm"] < card["paper"]["apex_error_max_mm"] + 0.5
 
 
 def test_the_number_of_processes_changes_nothing(recording, tmp_path):
