@@ -13,7 +13,7 @@ def with_space_tables[T: type](**tables: str) -> Callable[[T], T]:
         if cls.__doc__ is not None:  # None under `python -OO`
             cls.__doc__ = re.sub(
                 r"^( *)\{(\w+)\}$",
-                lambda match: "\n".join(match[1] + line for line in tables[match[2]].splitlines()),
+                lambda match: "\n".join((match[1] + line).rstrip() for line in tables[match[2]].splitlines()),
                 cls.__doc__,
                 flags=re.MULTILINE,
             )

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from dualhead_envs.bypass.documentation import documented
 from dualhead_envs.bypass.environment import BypassEnv
 from dualhead_envs.bypass.layout import BIMODAL_BYPASS_LAYOUT
 from dualhead_envs.bypass.partition import BIMODAL_TAU, BimodalPartition
 from dualhead_envs.bypass.task import BIMODAL_BYPASS
-from dualhead_envs.space_tables import with_space_tables
 
 _LAYOUT = BIMODAL_BYPASS_LAYOUT
 
 
-@with_space_tables(
-    agent_pos=_LAYOUT.table(_LAYOUT.agent_pos),
-    environment_state=_LAYOUT.table(_LAYOUT.environment_state),
-    joint=_LAYOUT.table(_LAYOUT.action["joint"]),
-    position=_LAYOUT.table(_LAYOUT.action["position"]),
-    rotation=_LAYOUT.table(_LAYOUT.action["rotation"]),
-    gripper=_LAYOUT.table(_LAYOUT.action["gripper"]),
-)
+@documented(_LAYOUT)
 class BimodalBypassEnv(BypassEnv):
     """A Panda carries a cube past a wall to a goal behind it, on the left or on the right.
 
@@ -41,24 +34,7 @@ class BimodalBypassEnv(BypassEnv):
 
     With ``pixels=True`` also ``pixels``, RGB (height, width, 3) uint8; this needs EGL or OSMesa.
 
-    ## Action space
-    Absolute targets, to be reached at the end of the step. ``control="joint"`` takes joints and gripper:
-
-    {joint}
-
-    ``control="position"`` takes the position and the gripper, and holds the rotation of the start:
-
-    {position}
-
-    ``control="pose"`` takes the position, the rotation and the gripper:
-
-    {rotation}
-
-    In every control the gripper comes last:
-
-    {gripper}
-
-    Nothing is clipped: a target out of reach is approached as far as the arm goes.
+    {action_space}
 
     ## Start and end of an episode
     The robot starts at rest above the table with an open hand; the cube's x is uniform in [-0.15, -0.09] m, y in

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from dualhead_envs.bypass.documentation import documented
 from dualhead_envs.bypass.environment import BypassEnv
 from dualhead_envs.bypass.layout import ROTATING_BYPASS_LAYOUT
 from dualhead_envs.bypass.partition import ROTATING_TAU, RotatingPartition
 from dualhead_envs.bypass.task import ROTATING_BYPASS
-from dualhead_envs.space_tables import with_space_tables
 
 _LAYOUT = ROTATING_BYPASS_LAYOUT
 
 
-@with_space_tables(
-    agent_pos=_LAYOUT.table(_LAYOUT.agent_pos),
-    environment_state=_LAYOUT.table(_LAYOUT.environment_state),
-    joint=_LAYOUT.table(_LAYOUT.action["joint"]),
-    position=_LAYOUT.table(_LAYOUT.action["position"]),
-    rotation=_LAYOUT.table(_LAYOUT.action["rotation"]),
-    gripper=_LAYOUT.table(_LAYOUT.action["gripper"]),
-)
+@documented(_LAYOUT)
 class RotatingBypassEnv(BypassEnv):
     """A Panda carries a cube past a suspended beam to a goal behind it, by one of two routes.
 
@@ -40,22 +33,7 @@ class RotatingBypassEnv(BypassEnv):
 
     With ``pixels=True`` also ``pixels``, RGB (height, width, 3) uint8; this needs EGL or OSMesa.
 
-    ## Action space
-    Absolute targets, to be reached at the end of the step. ``control="joint"`` takes joints and gripper:
-
-    {joint}
-
-    ``control="position"`` takes the position and the gripper, and holds the rotation of the start:
-
-    {position}
-
-    ``control="pose"`` takes the position, the rotation and the gripper:
-
-    {rotation}
-
-    In every control the gripper comes last:
-
-    {gripper}
+    {action_space}
 
     ## Start and end of an episode
     As in BimodalBypass-v2, and R uniform in [0.170, 0.215] m, theta uniform in [0, pi); phi = theta mod pi/2.
