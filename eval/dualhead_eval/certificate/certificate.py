@@ -1,14 +1,18 @@
 """A certificate that runs beside a robot: is zero mismatch coordination or collapse?
 
 At deployment every decision is its own condition, so the protocol's many samples per condition are not to be
-had. Two or more sample pairs a decision are enough: matched against mismatched pairs give an unbiased effect
-and unbiased diversities per decision (:mod:`dualhead_eval.effects.unbiased`), their running means estimate the mean
+had. A few sample pairs per decision are enough: matched against mismatched pairs give an unbiased effect and
+unbiased diversities per decision (:mod:`dualhead_eval.effects.unbiased`), their running means estimate the mean
 conditional effect, and no pooling across conditions can fake coordination. The bounds hold jointly and at
 every moment with probability 1 - alpha, without asymptotics, also when conditions drift or depend on earlier
-actions.
+actions. The words and thresholds are those of the report (:mod:`dualhead_eval.effects.sites`).
 
-With a single pair a decision only the pooled effect exists; it contains the Simpson term (rmk:simpson), the
-conditions' own co-movement, and everything the certificate then says is about the pooled effect.
+- Four pairs or more per decision bound the capacity from both sides, whichever head collapses where.
+- Two or three bound it from below by mean G(q) + mean G(p) - (1 - 1/K): enough where both heads are diverse in
+  most decisions; otherwise the collapse of one head cannot be excluded, and the reading says so.
+- A single pair shows the pooled effect alone. It contains the Simpson term (rmk:simpson), the conditions' own
+  co-movement, so such a stream is never called coordinated, anti-coordinated or uncoordinated; that it has
+  collapsed or is rarely valid it does show.
 """
 
 from __future__ import annotations
@@ -24,7 +28,9 @@ from dualhead_eval.certificate.state import (
     read_state,
     write_state,
 )
-from dualhead_eval.effects.counts import INVALID, validate_labels
+from dualhead_eval.effects.counts import INVALID, joint_table, validate_labels
+from dualhead_eval.effects.sites import FLOOR_RHO, MIN_VALID_RATE, ORIGIN_CAPACITY
+from dualhead_eval.effects.unbiased import PRODUCT_PAIRS, unbiased_coordination
 from dualhead_eval.statistics.interval import Interval
 
 
@@ -39,9 +45,10 @@ class CoordinationCertificate:
     Args:
         n_modes: Number of modes K.
         alpha: Probability that any bound ever fails.
-        margin: Band on rho: beyond it a run counts as (anti-)coordinated, inside it as uncoordinated.
-        collapse: Relative capacity C / (1 - 1/K) below which a run counts as collapsed.
-        min_valid_rate: Valid-pair rate below which a run counts as low-validity.
+        margin: Band on rho: beyond it a stream counts as (anti-)coordinated, inside it as uncoordinated. The
+            report's 2% by default; a wider band of your own is settled sooner and says less.
+        collapse: Relative capacity C / (1 - 1/K) below which a stream counts as collapsed.
+        min_valid_rate: Valid-pair rate below which a stream counts as low-validity.
 
     Raises:
         ValueError: If a parameter is out of range.
@@ -52,9 +59,9 @@ class CoordinationCertificate:
         n_modes: int = 2,
         alpha: float = 0.05,
         *,
-        margin: float = 0.10,
-        collapse: float = 0.20,
-        min_valid_rate: float = 0.50,
+        margin: float = FLOOR_RHO,
+        collapse: float = ORIGIN_CAPACITY,
+        min_valid_rate: float = MIN_VALID_RATE,
     ) -> None:
         self._state = new_state(n_modes, alpha, margin, collapse, min_valid_rate)
         self._cache: tuple[int, CertificateReading] | None = None
@@ -62,7 +69,8 @@ class CoordinationCertificate:
     def update(self, label_a: ArrayLike, label_b: ArrayLike) -> None:
         """Add decisions: labels ``(decisions, n)`` with n sample pairs each, or ``(n,)`` single pairs.
 
-        Labels are modes 0..K-1, or -1 for an invalid sample. Pairs of one decision must be independent draws.
+        Labels are modes 0..K-1, or -1 for an invalid sample. Pairs of one decision must be independent draws: a
+        pair that follows a token or latent held from an earlier decision is not one, and is to be left out.
 
         Raises:
             ValueError: If shapes differ, a label is out of range, the update is empty, or single pairs and
@@ -83,6 +91,7 @@ class CoordinationCertificate:
                 f"this certificate has seen {seen} and now {given}, expected one kind: start a certificate for each"
             )
         state.single = single
+        state.tuned_pairs = state.tuned_pairs or (1 if single else a.shape[1])
         if single and a.size == 1:
             self._add_single_pair(int(a.item()), int(b.item()))
         elif single:
@@ -108,32 +117,38 @@ class CoordinationCertificate:
         state.valid_pairs += valid
         state.agreeing += agreeing
         state.valid.add(valid / len(a))
-        if valid >= 2:
-            distinct = valid * (valid - 1)
-            crossed = sum(r * s for r, s in zip(rows, columns, strict=True))
-            state.delta.add((valid * agreeing - crossed) / distinct)
-            state.diversity_q.add((distinct - sum(r * (r - 1) for r in rows)) / distinct)
-            state.diversity_p.add((distinct - sum(s * (s - 1) for s in columns)) / distinct)
+        if valid < 2:
+            return
+        distinct = valid * (valid - 1)
+        crossed = sum(r * s for r, s in zip(rows, columns, strict=True))
+        diversity_q = (distinct - sum(r * (r - 1) for r in rows)) / distinct
+        diversity_p = (distinct - sum(s * (s - 1) for s in columns)) / distinct
+        state.delta.add((valid * agreeing - crossed) / distinct)
+        state.diversity_q.add(diversity_q)
+        state.diversity_p.add(diversity_p)
+        if valid >= PRODUCT_PAIRS:
+            product = _disjoint_product(a, b, rows, columns, valid)
+            state.product_low.add(product)
+            state.product_high.add(product)
+        else:
+            state.product_low.add(0.0)
+            state.product_high.add(0.5 * (1 - 1 / n_modes) * (diversity_q + diversity_p))
 
     def _add_decisions(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> None:
         state = self._state
-        both = (a != INVALID) & (b != INVALID)
-        n = both.sum(axis=1)
-        modes = range(state.n_modes)
-        rows = np.stack([(both & (a == k)).sum(axis=1) for k in modes])
-        columns = np.stack([(both & (b == k)).sum(axis=1) for k in modes])
-        agreeing = (both & (a == b)).sum(axis=1)
+        tables = joint_table([a, b], state.n_modes)[:, :-1, :-1]
+        estimates = unbiased_coordination(tables)
         state.decisions += len(a)
         state.pairs += a.size
-        state.valid_pairs += int(n.sum())
-        state.agreeing += int(agreeing.sum())
-        state.valid.add_many(n / a.shape[1])
-        used = n >= 2
-        n, rows, columns, agreeing = n[used], rows[:, used], columns[:, used], agreeing[used]
-        distinct = n * (n - 1)
-        state.delta.add_many((n * agreeing - (rows * columns).sum(axis=0)) / distinct)
-        state.diversity_q.add_many((distinct - (rows * (rows - 1)).sum(axis=0)) / distinct)
-        state.diversity_p.add_many((distinct - (columns * (columns - 1)).sum(axis=0)) / distinct)
+        state.valid_pairs += int(estimates.n.sum())
+        state.agreeing += int(np.trace(tables, axis1=1, axis2=2).sum())
+        state.valid.add_many(estimates.n / a.shape[1])
+        used = estimates.n >= 2
+        state.delta.add_many(estimates.delta[used])
+        state.diversity_q.add_many(estimates.diversity_q[used])
+        state.diversity_p.add_many(estimates.diversity_p[used])
+        state.product_low.add_many(np.nan_to_num(estimates.product[used]))
+        state.product_high.add_many(estimates.product_at_most[used])
 
     def _add_single_pair(self, k: int, m: int) -> None:
         """One pair without array overhead."""
@@ -189,7 +204,7 @@ class CoordinationCertificate:
 
     @property
     def capacity(self) -> float:
-        """Estimated capacity sqrt(mean G_q * mean G_p); at least the mean of the decisions' capacities."""
+        """Estimated mean over decisions of sqrt(G_q G_p); errs upwards, with bounds from both sides."""
         return self.reading.capacity
 
     @property
@@ -199,19 +214,19 @@ class CoordinationCertificate:
 
     @property
     def valid_rate(self) -> float:
-        """Share of sample pairs in which both heads are valid."""
+        """Mean over decisions of the share of sample pairs in which both heads are valid."""
         return self.reading.valid_rate
 
     @property
     def bounds(self) -> dict[str, Interval]:
-        """Joint, time-uniform bounds on delta, diversity_q, diversity_p, valid_rate, and those they imply."""
+        """Joint, time-uniform bounds on delta, diversity_q, diversity_p, valid_rate, and on capacity and rho."""
         return self.reading.bounds
 
     def merge(self, other: CoordinationCertificate) -> None:
         """Add what another process has seen; both certificates must have the same parameters.
 
         Raises:
-            ValueError: If the parameters or the kind of stream differ.
+            ValueError: If the parameters or the kind of stream differ, or if both have counted one stream.
         """
         self._state.merge(other._state)
         self._cache = None
@@ -235,7 +250,21 @@ class CoordinationCertificate:
 
     def __repr__(self) -> str:
         r = self.reading
+        word = r.occupancy.word if r.occupancy else r.verdict
         return (
-            f"CoordinationCertificate({r.verdict}, {r.kind} delta={r.delta:+.4f}, capacity={r.capacity:.4f}, "
+            f"CoordinationCertificate({word}, {r.kind} delta={r.delta:+.4f}, capacity={r.capacity:.4f}, "
             f"valid_rate={r.valid_rate:.3f}, decisions={r.decisions})"
         )
+
+
+def _disjoint_product(a: list[int], b: list[int], rows: list[int], columns: list[int], n: int) -> float:
+    """Estimate of G(q) G(p) from the disjoint draws of one decision, as in ``unbiased_coordination``."""
+    cells: dict[tuple[int, int], int] = {}
+    for pair in zip(a, b, strict=True):
+        if pair[0] >= 0 and pair[1] >= 0:
+            cells[pair] = cells.get(pair, 0) + 1
+    same_a, same_b = sum(r * r for r in rows), sum(s * s for s in columns)
+    shared = sum(count * (n - rows[k]) * (n - columns[m]) for (k, m), count in cells.items())
+    both = n * n - same_a - same_b + sum(count * count for count in cells.values())
+    disjoint = (n * n - same_a) * (n * n - same_b) - 4 * shared + 2 * both
+    return disjoint / (n * (n - 1) * (n - 2) * (n - 3))

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, fields
+import uuid
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 from dualhead_eval.atomic_text import write_text
-from dualhead_eval.statistics.confidence_sequence import RunningMean
+from dualhead_eval.statistics.confidence_sequence import RunningMean, tuned_variance
 
 #: Format written and read by this version.
-FORMAT = "dualhead-certificate/1"
+FORMAT = "dualhead-certificate/2"
+#: Running means of single quantities.
+MEANS = ("valid", "delta", "diversity_q", "diversity_p", "product_low", "product_high", "agreement")
 
 
 @dataclass
@@ -21,11 +24,15 @@ class CertificateState:
     Attributes:
         n_modes, alpha, margin, collapse, min_valid_rate: See ``CoordinationCertificate``.
         single: Whether the stream holds one pair a decision.
+        tuned_pairs: Pairs per decision for which the bounds are tightest: those of the first decision, 0 before.
         decisions, pairs, valid_pairs, agreeing: Totals.
         valid: Valid share per decision.
         delta, diversity_q, diversity_p: Unbiased estimates per decision with two both-valid pairs or more.
+        product_low, product_high: Estimates of G(q) G(p) per such decision, from four both-valid pairs or more;
+            below four, 0 and (1 - 1/K) (G(q) + G(p)) / 2, whose means are never above and never below it.
         agreement: Agreement of single both-valid pairs.
         modes_q, modes_p: Frequency of each mode among single both-valid pairs.
+        streams: Identities of the streams counted here, so that none is counted twice.
     """
 
     n_modes: int
@@ -34,6 +41,7 @@ class CertificateState:
     collapse: float
     min_valid_rate: float
     single: bool
+    tuned_pairs: int
     decisions: int
     pairs: int
     valid_pairs: int
@@ -42,21 +50,34 @@ class CertificateState:
     delta: RunningMean
     diversity_q: RunningMean
     diversity_p: RunningMean
+    product_low: RunningMean
+    product_high: RunningMean
     agreement: RunningMean
     modes_q: list[RunningMean]
     modes_p: list[RunningMean]
+    streams: list[str] = field(default_factory=lambda: [uuid.uuid4().hex])
 
     @property
     def n_sequences(self) -> int:
-        """Sequences that share alpha: four, or validity, agreement and 2K frequencies of single pairs."""
-        return 2 + 2 * self.n_modes if self.single else 4
+        """Sequences that share alpha: five (the two of the product are bounded on one side each), or validity,
+        agreement and 2K frequencies of single pairs."""
+        return 2 + 2 * self.n_modes if self.single else 5
+
+    def bounds(self, mean: RunningMean) -> tuple[float, float]:
+        """Bounds on one of the means, joint with those on the others."""
+        return mean.bounds(self.alpha / self.n_sequences, tuned_variance(self.tuned_pairs))
 
     def merge(self, other: CertificateState) -> None:
         """Add another stream.
 
         Raises:
-            ValueError: If parameters or kinds of stream differ.
+            ValueError: If parameters or kinds of stream differ, or if both count one stream.
         """
+        if set(self.streams) & set(other.streams):
+            raise ValueError(
+                "both certificates have counted one stream (one is a copy of the other, or itself), expected "
+                "streams of their own: merging would count its decisions twice"
+            )
         parameters = ("n_modes", "alpha", "margin", "collapse", "min_valid_rate")
         for name in parameters:
             mine, theirs = getattr(self, name), getattr(other, name)
@@ -67,9 +88,11 @@ class CertificateState:
         if self.decisions and other.decisions and self.single != other.single:
             raise ValueError("certificates of single pairs and of several pairs a decision given, expected one kind")
         self.single = other.single if other.decisions else self.single
+        self.tuned_pairs = max(self.tuned_pairs, other.tuned_pairs)
+        self.streams = [*self.streams, *other.streams]
         for name in ("decisions", "pairs", "valid_pairs", "agreeing"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        for name in ("valid", "delta", "diversity_q", "diversity_p", "agreement"):
+        for name in MEANS:
             getattr(self, name).merge(getattr(other, name))
         for name in ("modes_q", "modes_p"):
             for mine, theirs in zip(getattr(self, name), getattr(other, name), strict=True):
@@ -96,6 +119,7 @@ def new_state(n_modes: int, alpha: float, margin: float, collapse: float, min_va
         collapse=float(collapse),
         min_valid_rate=float(min_valid_rate),
         single=False,
+        tuned_pairs=0,
         decisions=0,
         pairs=0,
         valid_pairs=0,
@@ -104,6 +128,8 @@ def new_state(n_modes: int, alpha: float, margin: float, collapse: float, min_va
         delta=RunningMean(-1, 1),
         diversity_q=RunningMean(0, 1),
         diversity_p=RunningMean(0, 1),
+        product_low=RunningMean(0, 1),
+        product_high=RunningMean(0, 1),
         agreement=RunningMean(0, 1),
         modes_q=[RunningMean(0, 1) for _ in range(int(n_modes))],
         modes_p=[RunningMean(0, 1) for _ in range(int(n_modes))],
@@ -135,7 +161,7 @@ def read_state(path: str | os.PathLike) -> CertificateState:
     try:
         stored = document["state"]
         values = {field.name: stored[field.name] for field in fields(CertificateState)}
-        for name in ("valid", "delta", "diversity_q", "diversity_p", "agreement"):
+        for name in MEANS:
             values[name] = RunningMean(**values[name])
         for name in ("modes_q", "modes_p"):
             values[name] = [RunningMean(**mean) for mean in values[name]]

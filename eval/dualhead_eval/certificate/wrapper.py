@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from dualhead_eval.certificate.certificate import CoordinationCertificate
 from dualhead_eval.certificate.reading import VERDICTS
+from dualhead_eval.effects.sites import readable_valid_rate
 from dualhead_eval.residuals.distances import position_residual_mm
 
 #: Both heads' samples for one observation, as positions in metres: two arrays ``(n, H, d)``.
@@ -33,12 +34,9 @@ CERTIFICATE_FEATURES: dict[str, dict[str, Any]] = {
 class CertificateWrapper(gym.Wrapper):
     """Attach a certificate to one environment.
 
-    >>> env = CertificateWrapper(env, predict=lambda observation: sample_both_heads(observation))  # doctest:
-    +SKIP
-
-    ``info["coordination"]`` holds ``verdict``, ``kind``, ``delta``, ``capacity``, ``valid_rate``,
-    ``decisions``, ``decision`` (whether this step made one) and ``residual_mm``, the mean residual of the
-    last decision's pairs.
+    ``info["coordination"]`` holds ``verdict``, ``reason`` (why it is not a firmer one), ``kind``, ``delta``,
+    ``capacity``, ``valid_rate``, ``decisions``, ``decision`` (whether this step made one) and ``residual_mm``, the
+    mean residual of the last decision's pairs.
 
     Args:
         env: An environment with ``unwrapped.mode_partition`` and ``environment_state`` observations.
@@ -46,6 +44,8 @@ class CertificateWrapper(gym.Wrapper):
             one head is paired with sample i of the other, as the policy couples them.
         certificate: The certificate to feed, shared among environments if wanted; a new one by default.
         decision_interval: Steps between decisions (the policy's ``n_action_steps``).
+        held_pairs: How many of the first pairs follow a token or latent held from earlier decisions, as the executed
+            one does in closed loop. They are no independent draws: the residual counts them, the certificate must not.
 
     Raises:
         ValueError: If the environment has no mode partition, or the certificate another number of modes.
@@ -58,27 +58,31 @@ class CertificateWrapper(gym.Wrapper):
         certificate: CoordinationCertificate | None = None,
         *,
         decision_interval: int = 8,
+        held_pairs: int = 0,
     ) -> None:
         super().__init__(env)
         partition = getattr(env.unwrapped, "mode_partition", None)
         if partition is None:
             raise ValueError(
-                f"{env.unwrapped!r} has no mode_partition, expected an environment of dualhead_envs: only "
-                f"these label "
-                "trajectories"
+                f"{env.unwrapped!r} has no mode_partition, expected an environment of dualhead_envs: only these "
+                "label trajectories"
             )
         if decision_interval < 1:
             raise ValueError(f"decision_interval={decision_interval}, expected at least 1 step")
-        self.certificate = certificate or CoordinationCertificate(n_modes=partition.n_modes)
+        if held_pairs < 0:
+            raise ValueError(f"held_pairs={held_pairs}, expected 0 or a number of pairs")
+        self.certificate = certificate or CoordinationCertificate(
+            n_modes=partition.n_modes, min_valid_rate=readable_valid_rate(partition.to_dict()["name"])
+        )
         if self.certificate.n_modes != partition.n_modes:
             raise ValueError(
                 f"certificate counts {self.certificate.n_modes} modes and the environment has "
-                f"{partition.n_modes}, "
-                "expected the same: build the certificate with the environment's number"
+                f"{partition.n_modes}, expected the same: build the certificate with the environment's number"
             )
         self._partition = partition
         self._predict = predict
         self._interval = decision_interval
+        self._held = held_pairs
         self._since_decision = 0
         self._residual = float("nan")
 
@@ -103,8 +107,13 @@ class CertificateWrapper(gym.Wrapper):
             raise ValueError(
                 f"predictions have shapes {path_a.shape} and {path_b.shape}, expected (n, H, d) positions in metres"
             )
+        if len(path_a) <= self._held:
+            raise ValueError(
+                f"{len(path_a)} pairs predicted of which {self._held} follow what the episode holds, expected "
+                "fresh pairs too: sample more pairs per decision"
+            )
         condition = np.asarray(observation["environment_state"], dtype=np.float64)
-        labels = (self._partition.assign(path, condition) for path in (path_a, path_b))
+        labels = (self._partition.assign(path[self._held :], condition) for path in (path_a, path_b))
         self.certificate.update(*(label[None] for label in labels))
         self._residual = float(position_residual_mm(path_a, path_b).mean())
         self._since_decision = 0
@@ -113,6 +122,7 @@ class CertificateWrapper(gym.Wrapper):
         reading = self.certificate.reading
         return {
             "verdict": reading.verdict,
+            "reason": reading.reason,
             "kind": reading.kind,
             "delta": reading.delta,
             "capacity": reading.capacity,

@@ -20,8 +20,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammainc, gammaln
 
-#: Variance process at which the boundary is about tightest: 1000 observations of variance 1/4.
-TUNED_VARIANCE = 250.0
+#: Observations after which the boundary is about tightest.
+TUNED_OBSERVATIONS = 1000
+#: Their variance process if each is one draw of a fair coin, the largest in [0, 1].
+TUNED_VARIANCE = TUNED_OBSERVATIONS / 4
+
+
+def tuned_variance(pairs: int) -> float:
+    """Variance process at which bounds on decisions of ``pairs`` sample pairs should be tightest.
+
+    Matched against mismatched pairs of two independent, even heads have variance 1 / 4(n - 1); it is known
+    before the first label, as the boundary's guarantee needs.
+    """
+    return TUNED_VARIANCE / max(1, pairs - 1)
 
 
 def log_mixture(s: ArrayLike, v: ArrayLike, scale: float, rho: float) -> NDArray[np.float64]:
@@ -139,9 +150,14 @@ class RunningMean:
         self.total += other.total
         self.variance += other.variance
 
-    def bounds(self, alpha: float) -> tuple[float, float]:
-        """Bounds on the mean of the conditional means, both missed at any time with probability <= alpha."""
+    def bounds(self, alpha: float, tuned: float = TUNED_VARIANCE) -> tuple[float, float]:
+        """Bounds on the mean of the conditional means, both missed at any time with probability <= alpha.
+
+        Args:
+            alpha: Probability that either bound ever fails.
+            tuned: Variance process at which they are about tightest; chosen before the first observation.
+        """
         if self.count == 0:
             return self.low, self.high
-        width = boundary(self.variance, alpha / 2, self.high - self.low) / self.count
+        width = boundary(self.variance, alpha / 2, self.high - self.low, tuned) / self.count
         return max(self.low, self.mean - width), min(self.high, self.mean + width)

@@ -7,8 +7,9 @@ means, ratio of the means.
 
 Two estimators share the order. ``"plug-in"`` is the protocol's: each condition's effect and capacity from its
 observed frequencies. With n pairs in a condition it shrinks the effect by (n - 1)/n, which is nothing at 1280
-pairs and half of it at two; ``"unbiased"`` (:mod:`dualhead_eval.effects.unbiased`) serves such runs, with the capacity
-sqrt(mean G(q) * mean G(p)).
+pairs and half of it at two, and its capacity, a square root of small counts, is lost first where a mode is rare;
+``"unbiased"`` (:mod:`dualhead_eval.effects.unbiased`) serves such runs, with the smaller of sqrt(mean G(q) * mean G(p))
+and sqrt(mean G(q) G(p)) for capacity.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ TERMS = (
     "capacity_tight",
     "diversity_q",
     "diversity_p",
+    "product",
 )
+#: Pairs per condition of the frozen protocol, from which on its own plug-in estimate is kept, rare modes or not.
+PROTOCOL_PAIRS = 1280
 ESTIMATORS = ("plug-in", "unbiased")
 
 
@@ -43,7 +47,7 @@ class ConditionSums:
     """Additive terms of each condition.
 
     Attributes:
-        terms: ``(n_conditions, 10 + K^2)``: sampled pairs, both-valid pairs N, the condition's weight w (N; 0
+        terms: ``(n_conditions, 11 + K^2)``: sampled pairs, both-valid pairs N, the condition's weight w (N; 0
             where the estimator needs two pairs and N is below), then w times each mean of :data:`TERMS`, then
             the both-valid counts themselves.
         n_modes: Number of modes K.
@@ -55,8 +59,21 @@ class ConditionSums:
     estimator: str = "plug-in"
 
     def total(self) -> NDArray[np.float64]:
-        """Sum over conditions, ``(10 + K^2,)``."""
+        """Sum over conditions, ``(11 + K^2,)``."""
         return self.terms.sum(axis=0)
+
+    def too_few_pairs(self, limit: float) -> bool:
+        """Whether plug-in terms rest on too few pairs for their rho.
+
+        The plug-in effect is short by 1/n, and where a mode is rare the plug-in capacity by more: sqrt(G(q) G(p))
+        of a few draws is often zero. Both biases of rho depend on the both-valid pairs per condition times the
+        relative capacity, and stay within 1% of rho while that product is 50 or more.
+        """
+        total = dict(zip(TERMS, self.total(), strict=False))
+        pairs = total["both_valid"] / max(1, (self.terms[:, TERMS.index("both_valid")] > 0).sum())
+        relative = total["capacity"] / max(1, total["weight"]) / (1 - 1 / self.n_modes)
+        most = total["sampled"] >= PROTOCOL_PAIRS * len(self.terms)
+        return bool(pairs < limit or (0 < pairs * relative < limit and not most))
 
     def grouped(self, groups: ArrayLike) -> ConditionSums:
         """Sums per group (episode cluster): one row per distinct value of ``groups`` ``(n_conditions,)``."""
@@ -69,7 +86,7 @@ class ConditionSums:
         return ConditionSums(terms, self.n_modes, self.estimator)
 
     def statistics(self, sums: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """The run's values from (weighted) sums ``(..., 10 + K^2)`` of condition terms.
+        """The run's values from (weighted) sums ``(..., 11 + K^2)`` of condition terms.
 
         Returns:
             valid_rate, obs, bl, delta, capacity, capacity_tight, rho, delta_pooled, capacity_pooled, rho_pooled
@@ -79,8 +96,8 @@ class ConditionSums:
         values = {name: _over(column[name], column["weight"]) for name in TERMS[3:8]}
         rho = _over(column["delta"], column["capacity"])
         if self.estimator == "unbiased":
-            diversities = (_over(column[name], column["weight"]) for name in ("diversity_q", "diversity_p"))
-            values["capacity"] = np.sqrt(np.prod(list(diversities), axis=0))
+            q, p, both = (_over(column[name], column["weight"]) for name in ("diversity_q", "diversity_p", "product"))
+            values["capacity"] = np.sqrt(np.minimum(q * p, both))
             values["capacity_tight"] = np.full_like(values["capacity"], np.nan)
             rho = _over(values["delta"], values["capacity"])
         pooled = _pooled(sums[..., len(TERMS) :].reshape(*sums.shape[:-1], self.n_modes, self.n_modes))
@@ -111,13 +128,13 @@ def condition_sums(table: ArrayLike, estimator: str = "plug-in") -> ConditionSum
     if estimator == "plug-in":
         weight = n
         means = [effect.obs, effect.bl, effect.delta, effect.capacity, effect.capacity_tight]
-        means += [effect.diversity_q, effect.diversity_p]
+        means += [effect.diversity_q, effect.diversity_p, effect.diversity_q * effect.diversity_p]
     else:
         weight = np.where(n >= 2, n, 0.0)
         exact = unbiased_coordination(valid)
         nothing = np.zeros(len(n))
         means = [effect.obs, effect.obs + exact.delta, exact.delta, nothing, nothing]
-        means += [exact.diversity_q, exact.diversity_p]
+        means += [exact.diversity_q, exact.diversity_p, exact.product_at_most]
     weighted = np.where(weight[:, None] > 0, weight[:, None] * np.stack(means, axis=1), 0.0)
     sampled = counts.sum(axis=(-2, -1), dtype=np.float64)
     cells = valid.reshape(len(counts), -1).astype(np.float64)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from dualhead_eval.effects.contingency import coordination
 from dualhead_eval.effects.counts import both_valid
 from dualhead_eval.effects.dependence import entropy, mutual_information
-from dualhead_eval.effects.sites import Occupancy, occupancy
+from dualhead_eval.effects.sites import Occupancy, occupancy, readable_valid_rate
 from dualhead_eval.gate import Gate
 from dualhead_eval.residuals.strata import summarise_strata
 from dualhead_eval.statistics.bootstrap import (
@@ -33,10 +33,6 @@ from dualhead_eval.statistics.run_statistics import condition_sums
 #: Mean both-valid pairs per condition below which the unbiased estimator is used: the plug-in one would shrink
 #: the effect by more than 2%.
 FEW_PAIRS = 50
-#: Valid-pair rate below which a run cannot be read, by partition. On the ring every expert path is valid,
-#: so invalid samples mean an under-trained sampler, whose survivors inflate |rho|; on the robots they are
-#: ordinary.
-READABLE_VALID_RATE = {"ring": 0.95}
 
 
 @dataclass(frozen=True)
@@ -124,17 +120,20 @@ class RunSummary:
     @property
     def readable(self) -> bool:
         """False if the valid-pair rate is too low for this partition to read rho."""
-        return self.valid_rate >= READABLE_VALID_RATE.get(self.partition, 0.0)
+        return self.valid_rate >= readable_valid_rate(self.partition)
 
     @property
     def reading(self) -> str:
         """The summary in plain words."""
         if not self.readable:
-            return f"not yet readable: valid-pair rate below {READABLE_VALID_RATE[self.partition]:.2f}"
+            return f"low-validity: valid-pair rate below {readable_valid_rate(self.partition):.2f}"
         if self.occupancy is Occupancy.UNKNOWN:
             return f"not estimable: {self.reason.split(':')[0]}"
         if self.reason:
             return "collapsed: a head chose one mode in every condition"
+        # Capacity before rho: where it is small, rho compares two numbers that are both nearly zero.
+        if self.occupancy is Occupancy.ORIGIN:
+            return f"{self.occupancy.word} ({self.occupancy.site})"
         test = self.equivalence
         if self.occupancy is Occupancy.FLOOR and not test.equivalent:
             return f"uncoordinated within ±{test.width:.1%} (I)"
@@ -199,7 +198,7 @@ def summarise_table(
         nfe: Integration steps that the samples used.
         target: Mode frequencies of the data ``(K,)``.
         estimator: ``"plug-in"`` (the protocol's) or ``"unbiased"``; by default unbiased below
-            :data:`FEW_PAIRS` both-valid pairs per condition.
+            :data:`FEW_PAIRS` both-valid pairs per condition, each counting as much as the relative capacity.
         clusters: Cluster of each condition ``(n_conditions,)``; clusters are then resampled, not conditions.
         partition: Name of the mode partition.
         draws: Bootstrap replicates.
@@ -210,7 +209,7 @@ def summarise_table(
     """
     counts = np.asarray(table)
     sums = condition_sums(counts, "plug-in" if estimator is None else estimator)
-    if estimator is None and sums.terms[:, 1].sum() < FEW_PAIRS * (sums.terms[:, 1] > 0).sum():
+    if estimator is None and sums.too_few_pairs(FEW_PAIRS):
         sums = condition_sums(counts, "unbiased")
     run = {name: float(value) for name, value in sums.statistics(sums.total()).items()}
     pooled = coordination(both_valid(counts).sum(axis=0))

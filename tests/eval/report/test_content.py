@@ -26,8 +26,8 @@ def test_each_site_is_named(make_gate):
     readings = [run.first.reading for run in report.runs]
     assert readings[0].startswith("uncoordinated within ±")
     assert readings[1:] == [
-        "partly coordinated (III)",
-        "coordinated (IV)",
+        "coordinated in part (III)",
+        "coordinated in full (IV)",
         "collapsed: a head chose one mode in every condition",
     ]
 
@@ -36,7 +36,7 @@ def test_under_trained_ring_runs_are_flagged_and_robots_are_not(make_gate):
     ring, robot = make_report(
         [make_gate("ring", 0.5, valid=0.8), make_gate("robot", 0.5, valid=0.8, partition="bypass-v2")]
     ).pairs
-    assert ring.reading == "not yet readable: valid-pair rate below 0.95"
+    assert ring.reading == "low-validity: valid-pair rate below 0.95"
     assert robot.readable
 
 

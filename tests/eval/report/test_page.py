@@ -17,7 +17,7 @@ def test_the_page_is_self_contained_and_escapes_what_it_is_given(make_gate, repo
     assert "<b>bold" not in text
     assert "&lt;b&gt;bold &amp; co&lt;/b&gt;" in text
     assert "nan" not in re.sub(r"base64,[^\"]*", "", text)
-    assert "not yet readable" in text
+    assert "low-validity" in text
     assert {path.stem for path in folder.iterdir()} == {"region", "forest", "heatmap", "strata", "tau", "nfe"}
     assert "claims" in capsys.readouterr().out
     with pytest.raises(FileExistsError, match="--overwrite"):

@@ -52,7 +52,7 @@ def test_undefined_numbers_are_words(make_gate, printed):
 def test_the_effects_fit_a_narrow_terminal(make_gate, printed):
     report = make_report([make_gate("shared noise (nullspace)", 0.3), make_gate("token", 1.0, k=4)])
     text = printed(terminal.render_table(effects_table(report)), width=80)
-    for whole in ("partly", "coordinated", "+100.0%", "[+100.0,+100.0]", "K", "±100.0%"):
+    for whole in ("coordinated", "in part", "+100.0%", "[+100.0,+100.0]", "K", "±100.0%"):
         assert any(whole in line for line in text.splitlines())
 
 

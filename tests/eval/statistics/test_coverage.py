@@ -1,6 +1,6 @@
 """Simulation studies: intervals cover at their rate, and time-uniform bounds are missed no more than alpha.
 
-Minutes of simulation; run with ``uv run pytest -m slow -s tests/eval/test_coverage.py`` to see the tables.
+Minutes of simulation; run with ``uv run pytest -m slow -s tests/eval/statistics/test_coverage.py`` to see the tables.
 """
 
 import numpy as np
@@ -74,7 +74,7 @@ def crossed(x, mean, included, low, high, alpha):
 @pytest.mark.parametrize("kind", ["still", "drifting", "switching", "rough"])
 def test_the_certificates_bounds_miss_no_more_than_alpha_of_all_streams(kind):
     rng = np.random.default_rng(20260802)
-    missed, chunk, side = 0, 50, ALPHA / 8
+    missed, chunk, side = 0, 50, ALPHA / 10
     for start in range(0, STREAMS, chunk):
         left_a, left_b, couple, valid = laws(kind, chunk, rng)
         a, b = sample(left_a, left_b, couple, valid, rng)
@@ -111,6 +111,44 @@ def test_the_certificates_bounds_miss_no_more_than_alpha_of_all_streams(kind):
                 assert (interval.low, interval.high) == pytest.approx(expected, abs=1e-9)
     lower = beta.ppf(0.025, missed, STREAMS - missed + 1) if missed else 0.0
     print(f"\n{kind}: {missed} of {STREAMS} streams missed at some time, 95% lower limit {lower:.4f}")
+    assert lower <= ALPHA
+
+
+@pytest.mark.parametrize("kind", ["still", "drifting", "switching", "rough", "one head collapsed"])
+def test_bounds_from_four_pairs_contain_the_mean_capacity_and_rho_at_all_times(kind):
+    """Read at sixty moments: the mean of sqrt(G(q) G(p)) over the decisions used so far, and delta over it."""
+    rng = np.random.default_rng(20260802)
+    streams, ends = 400, np.unique(np.geomspace(20, DECISIONS, 60).astype(int))
+    wrong = 0
+    for _ in range(streams):
+        if kind == "one head collapsed":
+            even = np.arange(DECISIONS)[None] % 2 == 0
+            left_a, left_b = np.where(even, 1.0, 0.5), np.where(even, 0.5, 1.0)
+            couple, valid = np.full(left_a.shape, 0.3), np.full(left_a.shape, 0.9)
+        else:
+            left_a, left_b, couple, valid = laws(kind, 1, rng)
+        twice = [sample(left_a, left_b, couple, valid, rng) for _ in range(2)]
+        a, b = (np.concatenate([pairs[head][0] for pairs in twice], axis=-1) for head in range(2))
+        used = ((a >= 0) & (b >= 0)).sum(axis=-1) >= 2
+        union = np.minimum(left_a, left_b) + np.minimum(1 - left_a, 1 - left_b)
+        chance = left_a * left_b + (1 - left_a) * (1 - left_b)
+        capacity = 2 * np.sqrt(left_a * (1 - left_a) * left_b * (1 - left_b))[0]
+        delta = (couple * (union - chance))[0]
+        certificate = CoordinationCertificate(alpha=ALPHA)
+        missed = False
+        for start, end in zip([0, *ends[:-1]], ends, strict=True):
+            certificate.update(a[start:end].astype(int), b[start:end].astype(int))
+            if not used[:end].any():
+                continue
+            mean_c, mean_d = capacity[:end][used[:end]].mean(), delta[:end][used[:end]].mean()
+            bounds = certificate.bounds
+            missed |= not bounds["capacity"].low - 1e-12 <= mean_c <= bounds["capacity"].high + 1e-12
+            missed |= not bounds["delta"].low - 1e-12 <= mean_d <= bounds["delta"].high + 1e-12
+            if mean_c > 0:
+                missed |= not bounds["rho"].low - 1e-12 <= mean_d / mean_c <= bounds["rho"].high + 1e-12
+        wrong += missed
+    lower = beta.ppf(0.025, wrong, streams - wrong + 1) if wrong else 0.0
+    print(f"\n{kind}: {wrong} of {streams} streams missed at some time, 95% lower limit {lower:.4f}")
     assert lower <= ALPHA
 
 

@@ -202,6 +202,32 @@ def test_two_pairs_a_condition_are_enough_without_the_plug_in_bias():
     assert np.isnan(unbiased.capacity_tight)
 
 
+def rare_mode(conditions, n, rare=0.01, rho=0.5, seed=0):
+    """Both heads choose the rare mode alike often, with coordination rho."""
+    both = rare**2 + rho * rare * (1 - rare)
+    cells = [1 - 2 * rare + both, rare - both, rare - both, both]
+    table = np.zeros((conditions, 3, 3), dtype=int)
+    table[:, :2, :2] = np.random.default_rng(seed).multinomial(n, cells, size=conditions).reshape(-1, 2, 2)
+    return table
+
+
+def test_where_a_mode_is_rare_more_pairs_are_few():
+    """Of 64 pairs a rare mode gets fewer than one: the plug-in capacity is then mostly zero, and rho too large."""
+    table = rare_mode(4000, 64)
+    assert summarise_table(table, estimator="plug-in", draws=5).rho > 0.65
+    summary = summarise_table(table, draws=5)
+    assert summary.estimator == "unbiased"
+    assert summary.rho == pytest.approx(0.5, abs=0.04)
+    assert summarise_table(rare_mode(40, 1280, rare=0.005), draws=5).estimator == "plug-in"
+
+
+def test_one_head_collapsed_in_every_condition_leaves_no_capacity_at_few_pairs():
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, 2, size=(2, 4000, 8))
+    a[::2], b[1::2] = 0, 0
+    assert summarise_table(joint_counts(a, b, 2), draws=5).capacity < 0.03
+
+
 def test_many_pairs_make_the_estimators_one():
     table = sampled_table(2, conditions=30, pairs=2000)
     plug_in, unbiased = (summarise_table(table, estimator=name, draws=50) for name in ("plug-in", "unbiased"))
