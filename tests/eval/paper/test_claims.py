@@ -48,7 +48,7 @@ def test_robot_claims_follow_their_criteria(make_gate):
 
     independent = robot("A", 0.0)
     latent = robot("D", 0.0, latent="prior", latent_dim=16)
-    climb = robot("G", 0.5, source_noise_beta=0, consistency_weight=3, valid=0.75)
+    climb = robot("G", 0.5, source_noise_beta=0, consistency_weight=3, valid=0.5)
     token, weak = robot("K", 1.0, token="oracle"), robot("J", 0.5, token="window")
     grades = graded([independent, latent, climb, token])
     assert grades["Endpoint consistency"].grade == "holds"
