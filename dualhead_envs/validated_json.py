@@ -39,8 +39,10 @@ def _printable(text: str) -> str:
     return text
 
 
+#: Longest label, in characters.
+LONGEST_LABEL = 200
 #: A name or label: a line of text that cannot steer a terminal.
-Label = Annotated[str, StringConstraints(min_length=1, max_length=200), AfterValidator(_printable)]
+Label = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_LABEL), AfterValidator(_printable)]
 
 
 def read_validated[T](path: Path, schema: type[T], *, kind: str, remedy: str) -> T:
@@ -78,9 +80,7 @@ def read_json(path: Path, *, kind: str, remedy: str) -> Any:
         raise ValueError(f"{path} is nested too deeply, expected {kind}: {remedy}") from error
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
-        raise ValueError(
-            f"{path} is not complete JSON ({where}), expected {kind}: it may be truncated; {remedy}"
-        ) from error
+        raise ValueError(f"{path} is truncated or not JSON ({where}), expected {kind}: {remedy}") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is not JSON (byte {error.start} is not UTF-8), expected {kind}: {remedy}") from error
     except ValueError as error:

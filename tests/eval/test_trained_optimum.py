@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dualhead_eval.cli import main
-from dualhead_eval.gate.gate import read_gate
+from dualhead_eval.gate.file import read_gate
 from dualhead_eval.statistics.run_summary import summarise_run
 
 pytestmark = pytest.mark.slow

@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_policy.quiet import quiet_libraries
 
     quiet_libraries()
-    from dualhead_eval.gate.gate import write_gate
+    from dualhead_eval.gate.file import write_gate
     from dualhead_eval.report.content import make_report
     from dualhead_eval.report.tables import effects_table
     from dualhead_eval.report.terminal import render_table

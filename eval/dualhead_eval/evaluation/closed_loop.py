@@ -33,7 +33,7 @@ from dualhead_eval.certificate.wrapper import CERTIFICATE_FEATURES, CertificateW
 from dualhead_eval.evaluation.labelled_pairs import LabelledPairs
 from dualhead_eval.evaluation.open_loop import make_gate
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_FORMAT, ClosedLoop, closed_loop_of
-from dualhead_eval.gate.gate import Gate
+from dualhead_eval.gate.gate import ROLLOUTS, Gate
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.representation import RepresentationLayout
@@ -314,5 +314,5 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
         pair_ids=columns["episode_index"][decision],
         partition=partition,
         target_probabilities=None,
-        provenance={"label": label or root.name, "method": "recorded rollouts", "rollouts": sidecar},
+        provenance={"label": label or root.name, "method": ROLLOUTS, "rollouts": sidecar},
     )

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dualhead_eval.gate.gate import Gate, gate_digest
+from dualhead_eval.gate.file import gate_digest
+from dualhead_eval.gate.gate import Gate
 
 
 def merge_gates(gates: Sequence[Gate]) -> Gate:
@@ -71,11 +72,16 @@ def merge_gates(gates: Sequence[Gate]) -> Gate:
             parts = [gate.strata[name] for gate in gates]
             fields = ("n", "total", "squares", "median", "u")
             strata[name] = replace(parts[0], **{f: np.concatenate([getattr(p, f) for p in parts], 2) for f in fields})
+    provenance = first.provenance | {"merged_from": digests}
+    merged = np.stack(counts, axis=2)
+    if "pairs_per_condition" in provenance:
+        sampled = merged[0, 0].reshape(len(counts), -1).sum(axis=1)
+        provenance["pairs_per_condition"] = int(sampled[0]) if (sampled == sampled[0]).all() else None
     return replace(
         first,
-        counts=np.stack(counts, axis=2),
+        counts=merged,
         conditions=np.array(conditions),
         pair_ids=np.array(pair_ids),
-        provenance=first.provenance | {"merged_from": digests},
+        provenance=provenance,
         strata=strata,
     )

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, ClosedLoop, read_closed_loop
-from dualhead_eval.gate.gate import Gate, read_gate
+from dualhead_eval.gate.file import read_gate
+from dualhead_eval.gate.gate import Gate
 
 #: How a gate file's name ends where folders are searched for them.
 GATE_SUFFIX = ".gate.json"

@@ -21,7 +21,8 @@ from dualhead_eval.evaluation.samplers import (
     open_exact_reference,
     open_policy,
 )
-from dualhead_eval.gate.gate import Gate, read_gate, write_gate
+from dualhead_eval.gate.file import read_gate, write_gate
+from dualhead_eval.gate.gate import Gate
 from dualhead_eval.studies.plan import Budget, Plan, PlannedRow
 
 SETTINGS = "demo.json"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dualhead_eval.cli import main
-from dualhead_eval.gate.gate import read_gate
+from dualhead_eval.gate.file import read_gate
 from dualhead_policy.pretrained import policy_folder
 
 LIGHT = ("torch", "lerobot", "mujoco", "matplotlib")

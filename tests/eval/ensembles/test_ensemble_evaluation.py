@@ -7,7 +7,7 @@ import pytest
 
 from dualhead_eval.ensembles.evaluation import evaluate_ensemble
 from dualhead_eval.evaluation.samplers import open_conditions, open_exact_reference
-from dualhead_eval.gate.gate import read_gate, write_gate
+from dualhead_eval.gate.file import read_gate, write_gate
 from dualhead_eval.residuals.strata import summarise_strata
 from dualhead_eval.statistics.run_summary import summarise_run
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from dualhead_eval.effects.counts import joint_counts
-from dualhead_eval.gate.gate import FORMAT, Gate, gate_digest, read_gate, write_gate
+from dualhead_eval.gate.file import FORMAT, gate_digest, read_gate, write_gate
+from dualhead_eval.gate.gate import Gate
 from dualhead_eval.residuals.strata import residual_strata
 
 
@@ -195,8 +196,92 @@ def test_content_that_never_was_a_gate_is_refused_even_with_a_right_checksum(gat
 def test_numbers_that_json_lacks_are_refused(gate, tmp_path):
     path = write_gate(gate, tmp_path / "run.json")
     path.write_text(path.read_text().replace('"reference_tau":0.5', '"reference_tau":NaN'))
-    with pytest.raises(ValueError, match="changed after"):
+    with pytest.raises(ValueError, match="NaN, which is not a number of JSON"):
         read_gate(path)
     path.write_text("[" * 100_000)
-    with pytest.raises(ValueError, match="not a complete gate"):
+    with pytest.raises(ValueError, match="nested too deeply"):
         read_gate(path)
+
+
+def resealed(gate, path, change):
+    """A gate file whose content ``change`` has edited, with a checksum that is right again."""
+    write_gate(gate, path)
+    content = json.loads(path.read_text())["content"]
+    change(content)
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    digest = hashlib.sha256(canonical.encode()).hexdigest()
+    path.write_text(json.dumps({"format": FORMAT, "sha256": digest, "content": content}))
+    return path
+
+
+def move_a_pair(content):
+    values = content["counts"]["values"]
+    per_tau = len(values) // 2
+    for start in (0, per_tau):  # the same pair at both thresholds, from one valid cell to another
+        values[start] += 1
+        values[start + 4] -= 1
+
+
+def set_stratum(field, value):
+    def change(content):
+        content["strata"]["position"][field]["values"][0] = value
+
+    return change
+
+
+EDITS = {
+    "a pair moved to another cell": (move_a_pair, "other same-mode and cross-mode pairs"),
+    "more valid pairs at a higher threshold": (
+        lambda content: content["counts"]["values"].reverse(),
+        "higher threshold|other same-mode",
+    ),
+    "a partition of other modes": (
+        lambda content: content["provenance"].update(partition={"n_modes": 2}),
+        "partition has n_modes=2",
+    ),
+    "a partition of another threshold": (
+        lambda content: content["provenance"].update(partition={"tau": 0.9}),
+        r"partition has tau=0\.9",
+    ),
+    "another number of pairs": (
+        lambda content: content["provenance"].update(pairs_per_condition=41),
+        "pairs_per_condition=41, its tables hold 40",
+    ),
+    "a condition given twice": (
+        lambda content: (
+            content["conditions"]["values"].__setitem__(slice(3, 6), content["conditions"]["values"][:3]),
+            content["pair_ids"]["values"].__setitem__(1, 0),
+        ),
+        "same pair and state twice",
+    ),
+    "a negative sum of distances": (set_stratum("total", -1.0), "that no distances have"),
+    "squares below the sum's": (set_stratum("squares", 0.0), "that no distances have"),
+    "a median beyond the mean's reach": (set_stratum("median", 1e6), "that no distances have"),
+    "a median of nothing": (set_stratum("median", None), "that no distances have"),
+    "a label that clears the screen": (
+        lambda content: content["provenance"].update(label="\x1b[2J"),
+        "printable text",
+    ),
+    "a head that breaks the line": (lambda content: content["heads"].__setitem__(0, "a\nb"), "printable text"),
+    "an unknown field": (lambda content: content.update(note="mine"), "unknown field 'note'"),
+    "a missing field": (lambda content: content.pop("strata"), "lacks the field 'strata'"),
+    "a count that is a string": (lambda content: content["counts"]["values"].__setitem__(0, "7"), "counts.values.0"),
+    "an array of another shape": (lambda content: content["counts"].update(shape=[1, 2, 5, 4, 5]), "holds 160 values"),
+    "a negative threshold": (lambda content: content.update(taus=[-0.5, 0.5]), "increasing numbers from 0"),
+    "no step at all": (lambda content: content.update(nfes=[0], reference_nfe=0), "increasing numbers from 1"),
+    "another unit": (lambda content: content["strata"]["position"].update(unit="furlong"), "'mm' or 'deg'"),
+    "a negative pair": (lambda content: content["pair_ids"]["values"].__setitem__(0, -1), "pair_ids"),
+}
+
+
+@pytest.mark.parametrize("what", EDITS)
+def test_a_gate_that_no_evaluation_gives_is_refused_even_with_a_right_checksum(what, gate, tmp_path):
+    change, sentence = EDITS[what]
+    with pytest.raises(ValueError, match=sentence) as refusal:
+        read_gate(resealed(gate, tmp_path / "run.json", change))
+    assert str(refusal.value).isprintable()
+
+
+def test_a_change_that_is_possible_is_believed(gate, tmp_path):
+    path = resealed(gate, tmp_path / "run.json", lambda content: content["provenance"].update(label="another name"))
+    assert read_gate(path).label == "another name"

@@ -11,7 +11,8 @@ from rich.console import Console
 
 from dualhead_eval.cli import main
 from dualhead_eval.evaluation.labelled_pairs import HEADS
-from dualhead_eval.gate.gate import Gate, read_gate
+from dualhead_eval.gate.file import read_gate
+from dualhead_eval.gate.gate import Gate
 from dualhead_eval.studies import plan
 from dualhead_eval.studies.demo_table import story_table
 from dualhead_eval.studies.stages import Demo
