@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import errno
 import json
 import time
 from pathlib import Path
@@ -105,10 +104,6 @@ def run(args: argparse.Namespace) -> int:
         )
     except (BlockingIOError, RuntimeError) as error:  # two recordings into one folder; too many rejections
         raise ValueError(error.args[0]) from error
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise ValueError(error.strerror) from error
     _print_summary(root, time.monotonic() - start)
     if args.preview is not None:
         from dualhead_envs.bypass.preview import write_preview

@@ -15,6 +15,8 @@ from contextlib import suppress
 from importlib.metadata import distribution, version
 from pathlib import Path
 
+from dualhead_envs.atomic_files import write_atomically
+
 #: Run in a fresh interpreter; writes the MJCF to the path in argv[1].
 _EXTRACT = """
 import sys, types
@@ -55,20 +57,6 @@ def cache_key(*parts: str) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write ``content`` to ``path`` so that no other process ever reads half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        try:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-            os.replace(file.name, path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
-
-
 def lift_mjcf() -> str:
     """The MJCF of robosuite's Lift with a Panda, without obstacle or goal.
 
@@ -94,6 +82,6 @@ def lift_mjcf() -> str:
                 )
             mjcf = target.read_text(encoding="utf-8")
         with suppress(OSError):  # a read-only or full cache costs time, not the environment
-            write_atomically(path, mjcf.encode())
+            write_atomically(path, mjcf)
         return mjcf
     return path.read_text(encoding="utf-8")

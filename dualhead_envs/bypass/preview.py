@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from dualhead_envs.atomic_files import write_atomically
 from dualhead_envs.bypass.demonstrations import Demonstration, demonstrate_pair
 from dualhead_envs.bypass.environment import BypassEnv
 
@@ -40,7 +42,6 @@ def write_preview(env_id: str, path: Path | str, *, seed: int = 0) -> str:
     env: Any = gym.make(f"dualhead_envs:{env_id}", control="pose", render_mode="rgb_array", image_size=size)
     bypass: BypassEnv = env.unwrapped
     pair = demonstrate_pair(bypass, seed)
-    path.parent.mkdir(parents=True, exist_ok=True)
     try:
         bypass.render()
     except RuntimeError as error:
@@ -80,14 +81,18 @@ def _indexed(picture: np.ndarray) -> Any:
 def _write_sheet(env: BypassEnv, pair: tuple[Demonstration, Demonstration], branch_step: int, path: Path) -> None:
     steps = {branch_step + moment for moment in _MOMENTS}
     rows = [np.concatenate(_replayed(env, demonstration, steps), axis=1) for demonstration in pair]
-    _indexed(np.concatenate(rows)).save(path, optimize=True)
+    picture = io.BytesIO()
+    _indexed(np.concatenate(rows)).save(picture, format="PNG", optimize=True)
+    write_atomically(path, picture.getvalue())
 
 
 def _write_film(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
     steps = set(range(0, len(pair[0].gripper), 4))
     left, right = (_replayed(env, demonstration, steps) for demonstration in pair)
     frames = [_indexed(np.concatenate(pictures, axis=1)) for pictures in zip(left, right, strict=False)]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=200, loop=0, optimize=True)
+    film = io.BytesIO()
+    frames[0].save(film, format="GIF", save_all=True, append_images=frames[1:], duration=200, loop=0, optimize=True)
+    write_atomically(path, film.getvalue())
 
 
 def _plot_paths(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
@@ -113,4 +118,6 @@ def _plot_paths(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path:
     above.set_title("from above")
     along.set_title("along x")
     figure.legend(*above.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=4)
-    figure.savefig(path, dpi=110)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=110)
+    write_atomically(path, picture.getvalue())

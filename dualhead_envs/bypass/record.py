@@ -10,8 +10,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import threading
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -23,9 +21,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from dualhead_envs.atomic_files import write_atomically
 from dualhead_envs.recording.episode import Episode
-from dualhead_envs.recording.shards import ShardStore, write_atomically
+from dualhead_envs.recording.shards import ShardStore
 from dualhead_envs.recording.staging import publish, staging_for
+from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers
 
 #: Pairs in the paper's data sets (sec:envs): 350/75/75 and 168/36/36.
 DEFAULT_PAIRS = {"BimodalBypass-v2": 500, "RotatingBypass-v3": 240}
@@ -108,13 +108,16 @@ def _simulate(store: ShardStore, env_id: str, pairs: int, seed: int, workers: in
     accepted = sum(bool(store.read(name)) for name in finished)
     rejected = len(finished) - accepted
     attempts = (attempt for attempt in count() if _shard(attempt) not in finished)
-    pool = Parallel(n_jobs=workers or _cores(), return_as="generator", batch_size=1)
+    end_with_this = {"initializer": end_with, "initargs": (os.getpid(),)}
+    pool = Parallel(workers or _cores(), backend="loky", return_as="generator", batch_size=1, **end_with_this)
     with tqdm(total=pairs, initial=accepted, unit="pair", desc=env_id, disable=not progress, smoothing=0.05) as bar:
         bar.set_postfix(rejected=rejected)
         # As many as are missing at a time: nothing is simulated in vain, and rejections get another round.
         while accepted < pairs:
             batch = islice(attempts, pairs - accepted)
-            for attempt, episodes in pool(delayed(_attempt)(env_id, seed, attempt, os.getpid()) for attempt in batch):
+            with interrupts_kept_from_workers():
+                results = pool(delayed(_attempt)(env_id, seed, attempt) for attempt in batch)
+            for attempt, episodes in results:
                 store.write(_shard(attempt), episodes)
                 accepted += bool(episodes)
                 rejected += not episodes
@@ -167,11 +170,10 @@ def _first_pairs(store: ShardStore, number: int) -> tuple[list[tuple[Episode, Ep
     return pairs, rejections
 
 
-def _attempt(env_id: str, seed: int, attempt: int, parent: int) -> tuple[int, list[Episode]]:
-    """The two episodes of one initial state, or none if a mode failed; ``parent`` is the recording process."""
+def _attempt(env_id: str, seed: int, attempt: int) -> tuple[int, list[Episode]]:
+    """The two episodes of one initial state, or none if a mode failed."""
     from dualhead_envs.bypass.demonstrations import demonstrate_pair
 
-    _end_with(parent)
     env = _expert_env(env_id)
     pair = demonstrate_pair(env, int(np.random.SeedSequence(seed, spawn_key=(attempt,)).generate_state(1)[0]))
     if not pair.success:
@@ -202,19 +204,6 @@ def _attempt(env_id: str, seed: int, attempt: int, parent: int) -> tuple[int, li
 def _expert_env(env_id: str) -> Any:
     """The environment that the expert acts in; made once in every process."""
     return gym.make(f"dualhead_envs:{env_id}", control="pose").unwrapped
-
-
-@cache
-def _end_with(parent: int) -> None:
-    """Let this process end soon after the recording process, which may be killed before it can tell."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    if os.getpid() != parent:
-        threading.Thread(target=watch, daemon=True).start()
 
 
 def _shard(attempt: int) -> str:

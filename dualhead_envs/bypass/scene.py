@@ -16,7 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from dualhead_envs.bypass.lift_model import cache_directory, cache_key, lift_mjcf, write_atomically
+from dualhead_envs.atomic_files import write_atomically
+from dualhead_envs.bypass.lift_model import cache_directory, cache_key, lift_mjcf
 from dualhead_envs.bypass.physics_engine import mujoco
 from dualhead_envs.bypass.task import CUBE_HALF_SIZE, TABLE_HEIGHT, BypassTask
 

@@ -7,7 +7,6 @@ tasks, info, aggregated statistics), written at once and renamed into place.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
@@ -18,9 +17,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from dualhead_envs.atomic_files import sync_folder, sync_tree, write_atomically
 from dualhead_envs.layout import Layout
 from dualhead_envs.recording.episode import Episode
-from dualhead_envs.recording.shards import sync_folder, write_atomically
 from dualhead_envs.recording.statistics import Statistics, aggregate, episode_statistics
 
 FORMAT = "dualhead-dataset/1"
@@ -96,16 +95,6 @@ def assemble(
     folder.rename(target)
     sync_folder(target.parent)
     return target
-
-
-def sync_tree(folder: Path) -> None:
-    """Flush every file and folder below ``folder`` to the disk."""
-    for path in [*folder.rglob("*"), folder]:
-        if path.is_dir():
-            sync_folder(path)
-        else:
-            with open(path, "rb") as file:
-                os.fsync(file.fileno())
 
 
 def _frame_columns(episodes: Sequence[Episode], fps: int) -> dict[str, np.ndarray]:

@@ -6,8 +6,8 @@ renamed, so that what is listed can be trusted and what is missing is recorded a
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -17,6 +17,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from dualhead_envs.atomic_files import write_atomically
 from dualhead_envs.recording.claim import claimed, discard
 from dualhead_envs.recording.episode import Episode
 
@@ -79,13 +80,9 @@ class ShardStore:
             columns[key] = np.array([getattr(episode, key) for episode in episodes], dtype=np.int64)
         for key in extras[0] if extras else ():
             columns[f"extra.{key}"] = np.array([episode.extra[key] for episode in episodes], dtype=np.float64)
-        temporary = self.folder / f"{name}.partial"
-        with open(temporary, "wb") as file:
-            np.savez(file, allow_pickle=False, **columns)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.rename(self.folder / f"{name}.npz")
-        sync_folder(self.folder)
+        archive = io.BytesIO()
+        np.savez(archive, allow_pickle=False, **columns)
+        write_atomically(self.folder / f"{name}.npz", archive.getvalue())
 
     def read(self, name: str) -> list[Episode]:
         """The episodes of the finished shard ``name``.
@@ -142,23 +139,3 @@ class ShardStore:
             write_atomically(path, json.dumps(self.configuration, indent=2) + "\n")
         for leftover in self.folder.glob("*.partial"):
             leftover.unlink()
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` such that a reader sees all of it or nothing."""
-    temporary = path.with_name(path.name + ".partial")
-    with open(temporary, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.rename(path)
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Flush ``folder``'s entries to the disk, so that a rename in it survives a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import errno
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dualhead_envs.atomic_files import NO_ROOM, not_written, sync_folder
 from dualhead_envs.recording.claim import claimed, discard
-from dualhead_envs.recording.shards import ShardStore, sync_folder
+from dualhead_envs.recording.shards import ShardStore
 
 
 @contextmanager
@@ -30,7 +30,7 @@ def staging_folder(root: Path) -> Iterator[Path]:
         OSError: If the disk is full.
     """
     refuse_occupied(root)
-    with claimed(root.with_name(f".{root.name}.partial"), root) as partial, _disk_full_in_words("was made is lost"):
+    with claimed(root.with_name(f".{root.name}.partial"), root) as partial, _naming_what_was_written(root, ""):
         folder = partial / "work"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
@@ -58,7 +58,7 @@ def staging_for(root: Path, configuration: Mapping[str, Any]) -> Iterator[ShardS
     refuse_occupied(root)
     with (
         ShardStore(root.with_name(f".{root.name}.recording"), configuration) as store,
-        _disk_full_in_words("was recorded is kept"),
+        _naming_what_was_written(root, "; what was recorded is kept"),
     ):
         try:
             refuse_occupied(root)  # another process may have finished between the first look and the claim
@@ -98,11 +98,10 @@ def refuse_occupied(root: Path) -> None:
 
 
 @contextmanager
-def _disk_full_in_words(what: str) -> Iterator[None]:
+def _naming_what_was_written(root: Path, kept: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno not in NO_ROOM:
             raise
-        advice = f"the disk is full: free some space and repeat the command, what {what}"
-        raise OSError(error.errno, advice) from error
+        raise not_written(root, error, kept) from error

@@ -17,9 +17,10 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
+from dualhead_envs.atomic_files import write_atomically
 from dualhead_envs.recording.assembly import assemble
 from dualhead_envs.recording.episode import Episode
-from dualhead_envs.recording.shards import ShardStore, write_atomically
+from dualhead_envs.recording.shards import ShardStore
 from dualhead_envs.recording.staging import publish, staging_for
 from dualhead_envs.ring.card import ring_card
 from dualhead_envs.ring.generator import RingGenerator

@@ -11,17 +11,19 @@ from pathlib import Path
 
 import draccus
 from lerobot.configs import parser
-from lerobot.configs.train import TrainPipelineConfig
+from lerobot.configs.train import TRAIN_CONFIG_NAME, TrainPipelineConfig
+from lerobot.utils.constants import PRETRAINED_MODEL_DIR
 
 from dualhead_policy.training.checkpoints import last_checkpoint
 from dualhead_policy.training.presets import PRESETS
+from dualhead_policy.training.run_folder import refuse_occupied
 
 
 def parse_training_config(arguments: Sequence[str], preset: str | None) -> TrainPipelineConfig:
     """Parse the flags of ``lerobot-train`` as ``dualhead train`` completes them.
 
     ``--policy.type=dualhead`` and ``--dataset.repo_id`` may be left out; ``--resume=true --output_dir=RUN``
-    finds the newest checkpoint of RUN.
+    finds the newest checkpoint of RUN, and begins a run that has none yet.
 
     Args:
         arguments: Flags in LeRobot's spelling.
@@ -29,15 +31,20 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
 
     Raises:
         ValueError: If a flag or value is unknown, in one sentence.
-        FileExistsError: If the output folder already holds a run.
+        FileExistsError: If the output folder already holds a run, or other files.
         FileNotFoundError: If there is no dataset, or nothing to resume from.
     """
     given = list(arguments)
     resume = (parser.parse_arg("resume", given) or "false").lower() in ("true", "1", "yes")
     complete: list[str] = []
     if resume and not parser.parse_arg("config_path", given):
-        complete = [f"--config_path={_checkpoint_config(parser.parse_arg('output_dir', given))}"]
-    elif not resume:
+        checkpoint = _checkpoint_config(given)
+        if checkpoint is None:
+            # Interrupted before its first checkpoint: the run starts again.
+            resume, given = False, parser.filter_arg("resume", given)
+        else:
+            complete = [f"--config_path={checkpoint}"]
+    if not resume:
         root = parser.parse_arg("dataset.root", given)
         if root is None:
             raise ValueError(
@@ -54,27 +61,36 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
             complete.insert(0, "--policy.type=dualhead")
     with _command_line([*complete, *given]):
         cfg = _parse()
-        _refuse_existing(cfg)
-        cfg.validate()
+        _validate(cfg)
     return cfg
 
 
-def _checkpoint_config(output_dir: str | None) -> Path:
+def _checkpoint_config(given: Sequence[str]) -> Path | None:
+    """Configuration of the newest checkpoint to resume from; None if the flags can begin the run that has none."""
+    output_dir = parser.parse_arg("output_dir", given)
     if output_dir is None:
         raise ValueError("--resume=true needs the run to resume: give its --output_dir")
     checkpoint = last_checkpoint(output_dir)
-    if checkpoint is None:
-        raise FileNotFoundError(
-            f"{output_dir} holds no complete checkpoint to resume from: delete the folder and start again"
-        )
-    return checkpoint / "pretrained_model" / "train_config.json"
+    if checkpoint is not None:
+        return checkpoint / PRETRAINED_MODEL_DIR / TRAIN_CONFIG_NAME
+    if parser.parse_arg("dataset.root", given):
+        return None
+    raise FileNotFoundError(
+        f"{output_dir} holds no complete checkpoint to resume from: repeat the command that began the run, which "
+        "starts again"
+    )
 
 
-def _refuse_existing(cfg: TrainPipelineConfig) -> None:
-    if not cfg.resume and cfg.output_dir is not None and Path(cfg.output_dir).exists():
-        raise FileExistsError(
-            f"{cfg.output_dir} already exists: continue it with --resume=true, or give another --output_dir"
-        )
+def _validate(cfg: TrainPipelineConfig) -> None:
+    """LeRobot's validation, but for its refusal of every folder that exists."""
+    output = cfg.output_dir
+    if output is None or cfg.resume:
+        cfg.validate()
+        return
+    refuse_occupied(Path(output))
+    cfg.output_dir = None
+    cfg.validate()
+    cfg.output_dir = output
 
 
 @contextlib.contextmanager

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +16,26 @@ import torch
 from lerobot.common.train_utils import get_step_checkpoint_dir, save_checkpoint
 from lerobot.configs.train import TrainPipelineConfig
 from lerobot.utils.constants import CHECKPOINTS_DIR, LAST_CHECKPOINT_LINK, PRETRAINED_MODEL_DIR, TRAINING_STATE_DIR
+from safetensors import SafetensorError
 
+from dualhead_envs.atomic_files import not_written, sync_tree
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 
 #: What a checkpoint says of its training windows, beside LeRobot's training state.
 WINDOW_SOURCE_FILE = "window_source.json"
+
+
+@dataclass(frozen=True)
+class WindowOrigin:
+    """Where a run's training windows come from.
+
+    Attributes:
+        dataset: Fingerprint of the training split.
+        fresh_paths: Whether new ring paths are drawn at every step.
+    """
+
+    dataset: str
+    fresh_paths: bool = False
 
 
 def write_checkpoint(
@@ -26,8 +45,7 @@ def write_checkpoint(
     optimizer: torch.optim.Optimizer,
     scheduler: Any,
     processors: tuple[Any, Any],
-    *,
-    fresh_paths: bool = False,
+    origin: WindowOrigin,
 ) -> Path:
     """Write ``checkpoints/<step>`` under the output folder and point ``checkpoints/last`` at it.
 
@@ -36,33 +54,46 @@ def write_checkpoint(
 
     Returns:
         The checkpoint's ``pretrained_model`` folder.
+
+    Raises:
+        OSError: If it cannot be written, for example because the disk is full; the last complete checkpoint stands.
     """
     assert cfg.output_dir is not None
     target = get_step_checkpoint_dir(Path(cfg.output_dir), cfg.steps, step)
     staging = target.with_name(f".{target.name}.partial")
-    shutil.rmtree(staging, ignore_errors=True)
-    save_checkpoint(
-        staging,
-        step=step,
-        cfg=cfg,
-        policy=policy,
-        optimizer=optimizer,
-        scheduler=scheduler,
-        preprocessor=processors[0],
-        postprocessor=processors[1],
-        num_processes=1,
-        batch_size=cfg.batch_size,
-    )
-    source = json.dumps({"fresh_paths": fresh_paths})
-    (staging / TRAINING_STATE_DIR / WINDOW_SOURCE_FILE).write_text(source, encoding="utf-8")
-    if target.exists():
-        shutil.rmtree(target)
-    os.replace(staging, target)
-    link = target.with_name(f".{LAST_CHECKPOINT_LINK}.partial")
-    link.unlink(missing_ok=True)
-    link.symlink_to(target.name)
-    os.replace(link, target.with_name(LAST_CHECKPOINT_LINK))
+    with naming_what_stands(Path(cfg.output_dir), target):
+        try:
+            shutil.rmtree(staging, ignore_errors=True)
+            save_checkpoint(
+                staging,
+                step=step,
+                cfg=cfg,
+                policy=policy,
+                optimizer=optimizer,
+                scheduler=scheduler,
+                preprocessor=processors[0],
+                postprocessor=processors[1],
+                num_processes=1,
+                batch_size=cfg.batch_size,
+            )
+            state = staging / TRAINING_STATE_DIR
+            (state / WINDOW_SOURCE_FILE).write_text(json.dumps(asdict(origin)), encoding="utf-8")
+            sync_tree(staging)
+            if target.exists():
+                shutil.rmtree(target)
+            os.replace(staging, target)
+            point_last_at(target)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
     return target / PRETRAINED_MODEL_DIR
+
+
+def point_last_at(checkpoint: Path) -> None:
+    """Make ``checkpoint`` the one that ``checkpoints/last`` names, in one step."""
+    link = checkpoint.with_name(f".{LAST_CHECKPOINT_LINK}.partial")
+    link.unlink(missing_ok=True)
+    link.symlink_to(checkpoint.name)
+    os.replace(link, checkpoint.with_name(LAST_CHECKPOINT_LINK))
 
 
 def last_checkpoint(output_dir: str | Path) -> Path | None:
@@ -71,7 +102,45 @@ def last_checkpoint(output_dir: str | Path) -> Path | None:
     return link.resolve() if link.exists() else None
 
 
+@contextmanager
+def naming_what_stands(output_dir: Path, what: Path) -> Iterator[None]:
+    """Turn an error of writing ``what`` into a sentence that names it and the last complete checkpoint.
+
+    Raises:
+        OSError: If the body raises one, or safetensors' own.
+    """
+    try:
+        yield
+    except (OSError, SafetensorError) as error:
+        last = last_checkpoint(output_dir)
+        kept = f"the last complete checkpoint, {last.name}, stands" if last else "there is no complete checkpoint yet"
+        raise not_written(what, _as_os_error(error), f"; {kept}") from error
+
+
+def _as_os_error(error: OSError | SafetensorError) -> OSError:
+    if isinstance(error, OSError):
+        return error
+    # safetensors has no class for an error of the operating system: its number is in the text.
+    number = re.search(r"os error (\d+)", str(error))
+    return OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))
+
+
+def window_origin(checkpoint: Path) -> WindowOrigin | None:
+    """Where the windows of a checkpoint came from; None for checkpoints of ``lerobot-train``, which does not say.
+
+    Raises:
+        ValueError: If the file that says so is damaged.
+    """
+    path = checkpoint / TRAINING_STATE_DIR / WINDOW_SOURCE_FILE
+    if not path.is_file():
+        return None
+    try:
+        return WindowOrigin(**json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path} is damaged ({error}): resume from another checkpoint, or train again") from error
+
+
 def had_fresh_paths(checkpoint: Path) -> bool:
     """Whether a checkpoint was trained on fresh ring paths; False for checkpoints of ``lerobot-train``."""
-    path = checkpoint / TRAINING_STATE_DIR / WINDOW_SOURCE_FILE
-    return path.is_file() and bool(json.loads(path.read_text(encoding="utf-8")).get("fresh_paths", False))
+    origin = window_origin(checkpoint)
+    return origin is not None and origin.fresh_paths

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from pathlib import Path
 
 DESCRIPTION = """\
 Train a dual-head policy with the loss, optimiser, data order and checkpoints of lerobot-train, the training
@@ -65,25 +67,27 @@ def run(args: argparse.Namespace, remaining: list[str]) -> int:
     return 0
 
 
-def _train_here(args: argparse.Namespace, remaining: list[str]) -> object:
+def _train_here(args: argparse.Namespace, remaining: list[str]) -> Path:
     import contextlib
     import sys
 
     from tqdm import tqdm
 
     from dualhead_policy.quiet import quiet_libraries
-    from dualhead_policy.training.arguments import parse_training_config
-    from dualhead_policy.training.trainer import Training
+    from dualhead_policy.training.run import train_run
+    from dualhead_policy.training.trainer import Progress, Training
+
+    @contextlib.contextmanager
+    def follow(training: Training) -> Iterator[Progress]:
+        with tqdm(total=training.cfg.steps, initial=training.step, unit="step", desc="training") as bar:
+
+            def progress(step: int, loss: float) -> None:
+                bar.update(1)
+                if step % 100 == 0:
+                    bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
+
+            yield progress
 
     quiet_libraries()
-    cfg = parse_training_config(remaining, args.preset)
     with contextlib.redirect_stdout(sys.stderr):
-        training = Training(cfg, fresh_paths=args.fresh_paths)
-    with tqdm(total=cfg.steps, initial=training.step, unit="step", desc="training") as bar:
-
-        def progress(step: int, loss: float) -> None:
-            bar.update(1)
-            if step % 100 == 0:
-                bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
-
-        return training.run(progress)
+        return train_run(remaining, args.preset, fresh_paths=args.fresh_paths, follow=follow)

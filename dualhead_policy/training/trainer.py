@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,20 +12,26 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.optim.factory import make_optimizer_and_scheduler
 from lerobot.policies import make_policy
+from lerobot.utils.constants import CHECKPOINTS_DIR, PRETRAINED_MODEL_DIR
 from lerobot.utils.random_utils import set_seed
 
-from dualhead_envs.dataset_frames import read_split
+from dualhead_envs.dataset_frames import SplitFrames, read_split
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.flow.loss import flow_loss
 from dualhead_policy.hub_folder import processor_folder
 from dualhead_policy.modeling_dualhead import MEASURE_EVERY, DualheadPolicy
 from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
 from dualhead_policy.processor_loading import load_processors
-from dualhead_policy.training.checkpoints import had_fresh_paths, write_checkpoint
+from dualhead_policy.training.checkpoints import (
+    WindowOrigin,
+    naming_what_stands,
+    point_last_at,
+    window_origin,
+    write_checkpoint,
+)
+from dualhead_policy.training.run_folder import clear_false_start
+from dualhead_policy.training.training_log import LOG_FILE, TrainingLog
 from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
-
-#: One line of ``training_log.jsonl`` summarises this many steps at most.
-LOG_EVERY = 200
 
 Progress = Callable[[int, float], None]
 
@@ -74,19 +78,29 @@ class Training:
             self.step, self.optimizer, self.scheduler = load_training_state(
                 cfg.checkpoint_path, self.optimizer, self.scheduler
             )
-            began_fresh = had_fresh_paths(cfg.checkpoint_path)
-            if fresh_paths and not began_fresh:
-                raise ValueError(
-                    f"{cfg.checkpoint_path} was trained on recorded windows: resume it without --fresh_paths, or start "
-                    "a new run with it"
-                )
-            fresh_paths = began_fresh
-        self.fresh_paths = fresh_paths
+            fresh_paths = self._resumed_source(cfg.checkpoint_path, frames, fresh_paths)
+        self.origin = WindowOrigin(frames.fingerprint, fresh_paths)
         self.source: WindowSource
         if fresh_paths:
             self.source = self._fresh_paths(frames.sidecar, seed)
         else:
             self.source = RecordedWindows(frames, self.policy, self.processors[0], cfg.batch_size, seed)
+
+    def _resumed_source(self, checkpoint: Path, frames: SplitFrames, fresh_paths: bool) -> bool:
+        """Whether the run that wrote ``checkpoint`` drew fresh paths; refuses other data than it began with."""
+        began = window_origin(checkpoint) or WindowOrigin(frames.fingerprint)
+        if began.dataset != frames.fingerprint:
+            raise ValueError(
+                f"{frames.root} holds other data (SHA-256 {frames.fingerprint[:12]}...) than {checkpoint} was trained "
+                f"on ({began.dataset[:12]}...): resume with the data that the run began with, or start a new run from "
+                f"its weights with --policy.path={checkpoint / PRETRAINED_MODEL_DIR}"
+            )
+        if fresh_paths and not began.fresh_paths:
+            raise ValueError(
+                f"{checkpoint} was trained on recorded windows: resume it without --fresh_paths, or start "
+                "a new run with it"
+            )
+        return began.fresh_paths
 
     def _fresh_paths(self, sidecar: dict[str, Any], seed: int) -> FreshRingPaths:
         if not sidecar.get("env_id", "").startswith("RotatingRing-v"):
@@ -126,7 +140,7 @@ class Training:
             self.optimizer,
             self.scheduler,
             self.processors,
-            fresh_paths=self.fresh_paths,
+            self.origin,
         )
 
     def run(self, progress: Progress | None = None) -> Path:
@@ -140,12 +154,22 @@ class Training:
 
         Raises:
             ValueError: If the loss stops being finite.
+            OSError: If the disk is full; the last complete checkpoint stands.
         """
         cfg = self.cfg
         assert cfg.output_dir is not None
         output = Path(cfg.output_dir)
-        output.mkdir(parents=True, exist_ok=True)
-        log = TrainingLog(output / "training_log.jsonl", self.step)
+        if cfg.resume:
+            assert cfg.checkpoint_path is not None
+            if self.step >= cfg.steps:
+                return cfg.checkpoint_path / PRETRAINED_MODEL_DIR
+            if cfg.checkpoint_path.parent.resolve() == (output / CHECKPOINTS_DIR).resolve():
+                point_last_at(cfg.checkpoint_path)  # later checkpoints belong to a future that is given up
+        else:
+            clear_false_start(output)
+        log_file = output / LOG_FILE
+        with naming_what_stands(output, log_file):
+            log = TrainingLog(log_file, self.step)
         rate = self.policy.config.optimizer_lr
         saved: Path | None = None
         while self.step < cfg.steps:
@@ -158,11 +182,13 @@ class Training:
                     f"the loss is not a number at step {self.step}: lower policy.optimizer_lr (now {rate}) and "
                     "start again"
                 )
-            log.add(self.step, loss, flow)
+            with naming_what_stands(output, log_file):
+                log.add(self.step, loss, flow)
             if progress is not None:
                 progress(self.step, loss)
             if cfg.save_checkpoint and should_save_checkpoint(self.step, cfg.save_freq, cfg.steps):
-                log.flush(self.step)
+                with naming_what_stands(output, log_file):
+                    log.flush(self.step)
                 saved = self.save()
         return saved or self.save()
 
@@ -181,41 +207,3 @@ def _refuse_what_is_not_done(cfg: TrainPipelineConfig) -> None:
                 f"--{name}={value} is not an option of `dualhead train`, which trains on every window of "
                 "--dataset.root: leave it out, give a root that holds the episodes alone, or use lerobot-train"
             )
-
-
-class TrainingLog:
-    """Mean losses, one JSON line per :data:`LOG_EVERY` steps; a resumed run drops what it will do again."""
-
-    def __init__(self, path: Path, step: int):
-        self.path = path
-        kept = []
-        if path.is_file():
-            kept = [line for line in path.read_text().splitlines() if line and json.loads(line)["step"] <= step]
-        path.write_text("".join(line + "\n" for line in kept))
-        self._losses: list[tuple[float, float]] = []
-        self._measured: dict[str, dict[str, float]] = {}
-        self._since = time.perf_counter()
-
-    def measure(self, measured: dict[str, dict[str, float]]) -> None:
-        """Keep what was measured beside the loss for the next line."""
-        self._measured = measured
-
-    def add(self, step: int, loss: float, flow: float) -> None:
-        self._losses.append((loss, flow))
-        if len(self._losses) >= LOG_EVERY:
-            self.flush(step)
-
-    def flush(self, step: int) -> None:
-        if not self._losses:
-            return
-        seconds = time.perf_counter() - self._since
-        line: dict[str, Any] = {
-            "step": step,
-            "loss": sum(loss for loss, _ in self._losses) / len(self._losses),
-            "flow_loss": sum(flow for _, flow in self._losses) / len(self._losses),
-            "steps_per_second": len(self._losses) / seconds,
-        }
-        line |= self._measured
-        with self.path.open("a") as file:
-            file.write(json.dumps(line) + "\n")
-        self._losses, self._measured, self._since = [], {}, time.perf_counter()

@@ -32,7 +32,25 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run_command(module_name: str, prog: str, arguments: list[str]) -> int:
-    """Parse ``arguments`` as a command module defines them, run it and turn user errors into one line."""
+    """Run a command module; user errors are one line and status 2, Ctrl-C is one line and status 130."""
+    try:
+        return _parse_and_run(module_name, prog, arguments)
+    except BrokenPipeError:
+        # The reader of a pipe has gone (`dualhead report ... | head`): not an error of ours.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (Exception, KeyboardInterrupt) as error:
+        if _was_interrupted(error):
+            print("dualhead: interrupted", file=sys.stderr)
+            return 130
+        if not isinstance(error, USER_ERRORS):
+            raise
+        print(f"dualhead: error: {_sentence(error)}", file=sys.stderr)
+        return 2
+
+
+def _parse_and_run(module_name: str, prog: str, arguments: list[str]) -> int:
+    """Parse ``arguments`` as a command module defines them, and run it."""
     module = importlib.import_module(module_name)
     parser = argparse.ArgumentParser(prog=prog, description=getattr(module, "DESCRIPTION", None), allow_abbrev=False)
     module.add_arguments(parser)
@@ -40,19 +58,22 @@ def run_command(module_name: str, prog: str, arguments: list[str]) -> int:
     passes_on = getattr(args, "takes_remaining", False)
     if remaining and not passes_on:
         parser.error(f"unrecognized arguments: {' '.join(remaining)}")
-    try:
-        return module.run(args, remaining) if passes_on else module.run(args)
-    except BrokenPipeError:
-        # The reader of a pipe has gone (`dualhead report ... | head`): not an error of ours.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except USER_ERRORS as error:
-        message = error.args[0] if isinstance(error, KeyError) and error.args else error
-        print(f"dualhead: error: {message}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("dualhead: interrupted", file=sys.stderr)
-        return 130
+    return module.run(args, remaining) if passes_on else module.run(args)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind ``error``: a library that it meets while importing may raise an error of its own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _sentence(error: BaseException) -> object:
+    if isinstance(error, KeyError) and error.args:
+        return error.args[0]
+    if isinstance(error, OSError) and error.filename is None and error.strerror:
+        return error.strerror  # a sentence of ours; with the error's number in front it would not be one
+    return error
 
 
 def _overview(arguments: list[str]) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -12,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
+from dualhead_eval.atomic_text import write_text
 from dualhead_eval.evaluation.open_loop import EvaluationProtocol
 from dualhead_eval.evaluation.samplers import (
     ConditionBank,
@@ -62,10 +62,7 @@ class Demo:
             return
         if self.root.exists() and any(self.root.iterdir()):
             raise FileExistsError(f"{self.root} is not empty and holds no demo: give another --output")
-        self.root.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial")
-        partial.write_text(text)
-        os.replace(partial, path)
+        write_text(path, text)
 
     def record(self) -> None:
         """Record every dataset that is not there yet."""
