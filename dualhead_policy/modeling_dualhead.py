@@ -15,6 +15,7 @@ from lerobot.policies import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
 from torch import Tensor, distributed
 
+from dualhead_envs.recording.shards import write_atomically
 from dualhead_policy.checkpoint_loading import load_strictly
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin, resolve_representation
@@ -107,14 +108,16 @@ class DualheadPolicy(PreTrainedPolicy):
         self.model.kinematics.save(save_directory)
         self.write_card(save_directory)
 
-    def write_card(self, folder: Path, results: Mapping[str, float] | None = None) -> None:
-        """Write the model card, ``README.md``, into this policy's folder.
+    def write_card(self, folder: Path, results: Mapping[str, float] | None = None) -> Path:
+        """Write the model card, ``README.md``, into this policy's folder; returns its path.
 
         Args:
             folder: The folder.
             results: Protocol numbers by name, where they are known.
         """
-        (folder / "README.md").write_text(self._card(results), encoding="utf-8")
+        card = folder / "README.md"
+        write_atomically(card, self._card(results))
+        return card
 
     def generate_model_card(self, *_: Any, **__: Any) -> ModelCard:
         """LeRobot's generic card says nothing about a plugin: this is the folder's own (``push_to_hub`` asks)."""

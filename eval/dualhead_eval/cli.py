@@ -16,7 +16,7 @@ COMMANDS = {
     ),
     "evaluate": ("dualhead_eval.commands.evaluate", "sample a policy under test conditions into a gate file"),
     "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
-    "demo": ("dualhead_eval.commands.demo", "the whole line in minutes: record, train, evaluate, report"),
+    "demo": ("dualhead_eval.commands.demo", "the whole pipeline in minutes: record, train, evaluate, report"),
 }
 # OSError: what is missing, occupied, locked by another process or full.
 USER_ERRORS = (ValueError, KeyError, OSError)

@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
     quiet_libraries()
     from dualhead_eval.report.content import make_report
     from dualhead_eval.report.figures.region import draw_region
+    from dualhead_eval.studies.demo import PLANS
     from dualhead_eval.studies.demo_table import story_table
-    from dualhead_eval.studies.plan import PLANS
     from dualhead_eval.studies.stages import Demo, stage
 
     root = args.output or Path("outputs") / f"demo-{args.env}-{args.preset}"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dualhead_eval.evaluation.samplers import EvaluatedSampler
 from dualhead_eval.gate import Gate
 from dualhead_eval.statistics.run_summary import residual_mm, summarise_run
-from dualhead_policy.pretrained import load_policy, policy_folder
 
 
 def card_numbers(gate: Gate) -> dict[str, float]:
@@ -26,8 +26,22 @@ def card_numbers(gate: Gate) -> dict[str, float]:
     return numbers if residual is None else numbers | {"cross-head residual (mm)": residual}
 
 
-def write_card_numbers(policy: str | Path, gate: Gate) -> Path:
-    """Write the numbers of ``gate`` into the card of the policy that it evaluated; returns the card's path."""
-    folder = policy_folder(policy)
-    load_policy(folder)[0].write_card(folder, card_numbers(gate))
-    return folder / "README.md"
+def update_card(sampler: EvaluatedSampler, folder: Path, gate: Gate) -> Path:
+    """Write the numbers of ``gate`` into the card of the policy that it evaluated.
+
+    Args:
+        sampler: The evaluated policy, as :func:`dualhead_eval.evaluation.samplers.open_policy` opened it.
+        folder: Its hub folder.
+        gate: Its gate.
+
+    Returns:
+        The card's path.
+
+    Raises:
+        ValueError: If the sampler is no policy.
+    """
+    from dualhead_policy.modeling_dualhead import DualheadPolicy
+
+    if not isinstance(sampler.sampler, DualheadPolicy):
+        raise ValueError("the exact reference has no folder and no card: give a policy")
+    return sampler.sampler.write_card(folder, card_numbers(gate))

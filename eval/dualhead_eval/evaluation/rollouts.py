@@ -1,15 +1,21 @@
-"""What became of a policy's episodes when one of its heads drove the robot."""
+"""Recorded rollouts, read back: what became of the episodes, and the counts of both heads' predictions.
+
+:mod:`dualhead_eval.evaluation.closed_loop` says how they are recorded.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from scipy.stats import binomtest
 
+from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, make_gate
+from dualhead_eval.gate.gate import ROLLOUTS, Gate
 from dualhead_eval.statistics.interval import Interval
 
 #: Format of a rollout dataset's ``meta/dualhead.json``.
@@ -95,3 +101,62 @@ def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
     name = path.name.removesuffix(ROLLOUTS_SUFFIX)
     step = sidecar.get("policy", {}).get("training_step")
     return (f"{name}, {step} steps" if step else name), loop
+
+
+def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | None = None) -> Gate:
+    """Count the predictions of a rollout dataset: every decision is a condition of its own.
+
+    Raises:
+        FileNotFoundError: If there is no dataset.
+        ValueError: If it holds no predictions of both heads.
+    """
+    # Reading outcomes alone, as a report does, needs none of these.
+    import torch
+
+    from dualhead_envs.dataset_frames import read_columns
+    from dualhead_eval.evaluation.conditions import environment_partition
+    from dualhead_policy.kinematics.kinematic_map import KinematicMap
+
+    root = Path(root)
+    info_path, sidecar_path = root / "meta" / "info.json", root / "meta" / "dualhead.json"
+    if not info_path.is_file():
+        raise FileNotFoundError(f"{root} is not a LeRobotDataset (no meta/info.json): give a rollout dataset")
+    info = json.loads(info_path.read_text())
+    sidecar = json.loads(sidecar_path.read_text()) if sidecar_path.is_file() else {}
+    keys = ["prediction.joint", "prediction.position", "prediction.decision"]
+    missing = [key for key in keys if key not in info["features"]]
+    if missing or sidecar.get("format") != ROLLOUTS_FORMAT:
+        raise ValueError(
+            f"{root} is not a dataset of recorded rollouts (lacks "
+            f"{missing or ROLLOUTS_FORMAT + ' in meta/dualhead.json'}): "
+            "record one with `dualhead evaluate --policy ... --record DIR`"
+        )
+    columns = read_columns(root, info, [*keys, "observation.environment_state", "episode_index"])
+    decision = columns["prediction.decision"].reshape(-1).astype(bool)
+    if not decision.any():
+        raise ValueError(f"{root} holds no decision: expected prediction.decision to be true in some frames")
+    n, horizon = sidecar["samples"], sidecar["horizon"]
+
+    def chunks(key: str) -> np.ndarray:
+        return columns[key][decision].reshape(int(decision.sum()), n, horizon, -1)
+
+    partition = environment_partition(sidecar["env_id"], sidecar["env_kwargs"])
+    condition = columns["observation.environment_state"][decision]
+    joint = torch.from_numpy(chunks("prediction.joint")).double()
+    pairs = LabelledPairs.from_paths(
+        KinematicMap(sidecar["layout"]).position(joint).numpy(),
+        chunks("prediction.position").astype(np.float64),
+        condition,
+        partition,
+    )
+    nfe = sidecar["num_inference_steps"]
+    return make_gate(
+        {nfe: pairs},
+        reference_nfe=nfe,
+        taus=taus,
+        conditions=condition,
+        pair_ids=columns["episode_index"][decision],
+        partition=partition,
+        target_probabilities=None,
+        provenance={"label": label or root.name, "method": ROLLOUTS, "rollouts": sidecar},
+    )

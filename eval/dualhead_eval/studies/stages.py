@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
 from dualhead_eval.atomic_text import write_text
-from dualhead_eval.evaluation.open_loop import EvaluationProtocol
-from dualhead_eval.evaluation.samplers import (
-    ConditionBank,
-    Source,
-    evaluate_source,
-    open_conditions,
-    open_exact_reference,
-    open_policy,
-)
-from dualhead_eval.gate.file import read_gate, write_gate
-from dualhead_eval.gate.gate import Gate
+from dualhead_eval.evaluation.conditions import ConditionBank, open_conditions
+from dualhead_eval.evaluation.open_loop import evaluate
+from dualhead_eval.evaluation.protocol import EvaluationProtocol
+from dualhead_eval.evaluation.samplers import EvaluatedSampler, open_exact_reference, open_policy
+from dualhead_eval.gate import Gate, read_gate, write_gate
 from dualhead_eval.studies.plan import Budget, Plan, PlannedRow
+from dualhead_policy.sampling import SamplingCoupling
 
 SETTINGS = "demo.json"
 
@@ -116,40 +113,32 @@ class Demo:
             task = progress.add_task("evaluating", total=total)
             datasets = {policy.name: policy.dataset for policy in self.plan.policies}
             for row in self.plan.rows:
-                bank = open_conditions(self.root / "data" / datasets[row.policy] / "test")
+                conditions = open_conditions(self.root / "data" / datasets[row.policy] / "test")
                 progress.update(task, description=f"evaluating: {row.title}")
-                gate = self._gate(
-                    row, "trained", bank, lambda row=row: open_policy(self.root / "policies" / row.policy)
-                )
+                trained = partial(open_policy, self.root / "policies" / row.policy)
+                gate = self._gate(row, "trained", conditions, trained)
                 progress.advance(task)
                 reference = None
                 if row.reference is not None:
-                    options = row.reference
-                    reference = self._gate(
-                        row,
-                        "reference",
-                        bank,
-                        lambda bank=bank, options=options: open_exact_reference(bank, **options),
-                    )
+                    exact = partial(open_exact_reference, conditions, **row.reference)
+                    reference = self._gate(row, "reference", conditions, exact)
                     progress.advance(task)
                 results.append((row, gate, reference))
         return results
 
-    def _gate(self, row: PlannedRow, kind: str, bank: ConditionBank, open_source: object) -> Gate:
-        from dualhead_policy.sampling import SamplingCoupling
-
+    def _gate(
+        self, row: PlannedRow, kind: str, conditions: ConditionBank, open_sampler: Callable[[], EvaluatedSampler]
+    ) -> Gate:
         path = self.root / "gates" / f"{row.name}.{kind}.gate.json"
         if path.is_file():
             return read_gate(path)
-        source: Source = open_source()  # type: ignore[operator]
-        label = row.title if kind == "trained" else f"{row.title} (reference)"
         protocol = EvaluationProtocol(
             pairs=self.budget.pairs,
             seed=self.seed,
             coupling=SamplingCoupling(source_noise_beta=row.source_noise_beta),
         )
-        gate = evaluate_source(source, bank, protocol, label=label)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        label = row.title if kind == "trained" else f"{row.title} (reference)"
+        gate = evaluate(open_sampler(), conditions, protocol, label)
         write_gate(gate, path)
         return gate
 
@@ -157,8 +146,6 @@ class Demo:
 @contextmanager
 def stage(console: Console, number: int, of: int, title: str) -> Iterator[None]:
     """Announce a stage of the demo and say how long it took."""
-    import time
-
     start = time.perf_counter()
     console.print(f"[bold]({number}/{of})[/bold] {title}", highlight=False)
     yield

@@ -84,10 +84,15 @@ def test_protocol_numbers_reach_the_policys_card(trained, ring_data, tmp_path):
         (["--exact", "--dataset", "nowhere"], "is not a LeRobotDataset"),
         (["--exact"], "--dataset is missing"),
         (["--exact", "--dataset", "{data}/test", "--pairs", "0"], "not positive"),
+        (["--exact", "--dataset", "{data}/test", "--nfe", "5", "5"], "different numbers of steps"),
+        (["--exact", "--dataset", "{data}/test", "--tau", "nan"], "finite thresholds"),
+        (["--exact", "--dataset", "{data}/test", "--conditions", "13"], "holds 12 conditions"),
+        (["--exact", "--dataset", "{data}/test", "--control", "pose"], "give --record instead"),
+        (["--rollouts", "{data}/test", "--nfe", "5"], "give --policy or --exact instead"),
         (["--exact", "--dataset", "{data}/test", "--source-noise-beta", "2"], "outside"),
         (["--rollouts", "{data}/test"], "not a dataset of recorded rollouts"),
         (["--exact", "--dataset", "{data}/test", "--record", "x"], "give --policy too"),
-        (["--exact", "--dataset", "{data}/test", "--update-card"], "give --policy without --record"),
+        (["--exact", "--dataset", "{data}/test", "--update-card"], "has no meaning with --exact"),
     ],
 )
 def test_what_cannot_be_evaluated_is_refused_in_one_line(arguments, sentence, ring_data, tmp_path, capsys, monkeypatch):

@@ -8,9 +8,15 @@ import sys
 
 import numpy as np
 import pytest
+from lerobot.datasets import LeRobotDatasetMetadata
+from lerobot.policies.factory import make_policy
 
 from dualhead_eval.cli import main
 from dualhead_eval.evaluation.rollouts import ClosedLoop, read_closed_loop
+from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
+
+SMALL = {"velocity_width": 16, "encoder_dim": 8, "seed": 0, "device": "cpu"}
 
 
 def sidecar(successes, failures, *, control="joint", **more):
@@ -49,19 +55,40 @@ def test_a_copy_of_the_outcomes_is_reported_like_the_rollouts(tmp_path, capsys):
 
 def test_two_processes_do_not_record_into_one_folder(trained, ring_data, tmp_path, capsys):
     target = tmp_path / "rollouts"
-    left_by_a_kill = tmp_path / ".rollouts.partial"
-    left_by_a_kill.mkdir()
+    partial = tmp_path / ".rollouts.partial"
+    (partial / "work" / "dataset" / "meta").mkdir(parents=True)  # left by a kill
     arguments = ["evaluate", "--policy", str(trained), "--dataset", str(ring_data / "test"), "--record", str(target)]
     arguments += ["--episodes", "1", "--output", str(tmp_path / "loop.gate.json")]
-    hold = "import filelock, sys\nlock = filelock.FileLock(sys.argv[1])\nlock.acquire()\nprint(flush=True)\ninput()"
-    command = [sys.executable, "-c", hold, str(tmp_path / ".rollouts.lock")]
+    hold = (
+        "import pathlib, sys\nfrom dualhead_envs.recording.staging import staging_folder\n"
+        "with staging_folder(pathlib.Path(sys.argv[1])):\n    print(flush=True)\n    input()"
+    )
+    command = [sys.executable, "-c", hold, str(target)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         other.stdout.readline()
         assert main(arguments) == 2
         other.stdin.write(b"\n")
-    assert "another process records rollouts" in capsys.readouterr().err
+    assert "another process" in capsys.readouterr().err
     assert main(arguments) == 0
     assert {path.name for path in tmp_path.iterdir()} == {"rollouts", "loop.gate.json"}
+
+
+def test_a_pose_is_executed_where_the_policy_has_an_orientation_head(panda_data, trained, ring_data, tmp_path, capsys):
+    meta = LeRobotDatasetMetadata("local/panda", root=panda_data / "train")
+    arguments = ["--output", str(tmp_path / "gate.json"), "--record", str(tmp_path / "rollouts"), "--control", "pose"]
+    arguments += ["--episodes", "1", "--dataset", str(panda_data / "test")]
+    for rotation_head, status in ((False, 2), (True, 0)):
+        config = DualheadConfig(rotation_head=rotation_head, **SMALL)
+        folder = tmp_path / f"policy-{rotation_head}"
+        policy = make_policy(config, ds_meta=meta)
+        policy.save_pretrained(folder)
+        for processor in make_dualhead_pre_post_processors(policy.config, dataset_stats=meta.stats):
+            processor.save_pretrained(folder)
+        assert main(["evaluate", "--policy", str(folder), *arguments]) == status
+    assert "executes the orientation head, which this policy lacks" in capsys.readouterr().err
+    assert read_closed_loop(tmp_path / "rollouts")[1].control == "pose"
+    assert main(["evaluate", "--policy", str(trained), *arguments[:-1], str(ring_data / "test"), "--overwrite"]) == 2
+    assert "lacks" in capsys.readouterr().err
 
 
 def test_what_is_no_outcome_is_refused(tmp_path, capsys):

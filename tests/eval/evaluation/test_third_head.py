@@ -10,9 +10,11 @@ from lerobot.policies import make_policy
 from scipy.spatial.transform import Rotation
 
 from dualhead_envs.dataset_frames import read_split
-from dualhead_eval.evaluation.labelled_pairs import LabelledPairs
-from dualhead_eval.evaluation.open_loop import EvaluationProtocol, make_gate
-from dualhead_eval.evaluation.samplers import Source, evaluate_source, open_conditions
+from dualhead_eval.evaluation.conditions import open_conditions
+from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, make_gate
+from dualhead_eval.evaluation.open_loop import evaluate
+from dualhead_eval.evaluation.protocol import EvaluationProtocol
+from dualhead_eval.evaluation.samplers import EvaluatedSampler
 from dualhead_eval.report.content import make_report
 from dualhead_eval.report.tables import agreement_table
 from dualhead_policy import DualheadConfig
@@ -54,7 +56,7 @@ def test_an_orientation_head_is_counted_by_its_companion_rule(pair):
         position[mode], position[mode], condition[None], partition, None, (columns[mode], turned(columns[other], 2.0))
     )
     assert pairs.heads == ("joint", "position", "rotation")
-    same_turn = pairs.residuals["rotation"][mode == other]
+    same_turn = pairs.residuals["rotation"].distance[mode == other]
     assert same_turn == pytest.approx(2.0, abs=1e-6)
     gate = make_gate(
         {20: pairs},
@@ -79,9 +81,8 @@ def test_where_all_modes_share_one_orientation_only_its_residual_is_kept(panda_d
     meta = LeRobotDatasetMetadata("local/panda", root=panda_data / "train")
     small = {"velocity_width": 16, "encoder_dim": 8, "seed": 0, "device": "cpu"}
     policy = make_policy(DualheadConfig(rotation_head=True, **small), ds_meta=meta).eval()
-    source = Source(policy, dict, policy.representation.kinematic_map, {"method": "policy"})
-    gate = evaluate_source(
-        source, open_conditions(panda_data / "test"), EvaluationProtocol(pairs=4, nfes=[2]), label="untrained"
-    )
+    sampler = EvaluatedSampler(policy, dict, policy.model.kinematics, {"method": "policy"})
+    protocol = EvaluationProtocol(pairs=4, nfes=[2])
+    gate = evaluate(sampler, open_conditions(panda_data / "test"), protocol, "untrained")
     assert gate.heads == ("joint", "position")
     assert gate.strata["rotation"].unit == "deg"

@@ -1,4 +1,4 @@
-"""The demo: the whole line at a tiny budget, continued where it stopped, never over something else."""
+"""The demo: the whole pipeline at a tiny budget, continued where it stopped, never over something else."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from rich.console import Console
 
 from dualhead_eval.cli import main
 from dualhead_eval.evaluation.labelled_pairs import HEADS
-from dualhead_eval.gate.file import read_gate
-from dualhead_eval.gate.gate import Gate
-from dualhead_eval.studies import plan
+from dualhead_eval.gate import Gate, read_gate
+from dualhead_eval.studies import demo
 from dualhead_eval.studies.demo_table import story_table
+from dualhead_eval.studies.plan import Budget
 from dualhead_eval.studies.stages import Demo
 
-TINY = plan.Budget(demonstrations=64, steps=4, save_freq=2, pairs=8)
-PLAN = replace(plan.RING_PLAN, policies=plan.RING_PLAN.policies[:1], rows=plan.RING_PLAN.rows[:2])
+TINY = Budget(demonstrations=64, steps=4, save_freq=2, pairs=8)
+PLAN = replace(demo.RING_PLAN, policies=demo.RING_PLAN.policies[:1], rows=demo.RING_PLAN.rows[:2])
 
 
 @pytest.fixture
 def tiny_demo(monkeypatch):
-    monkeypatch.setitem(plan.PLANS, "ring", replace(PLAN, budgets={"smoke": TINY}))
+    monkeypatch.setitem(demo.PLANS, "ring", replace(PLAN, budgets={"smoke": TINY}))
 
 
 def test_the_demo_records_trains_evaluates_and_tells_the_story(tiny_demo, tmp_path, capsys):
@@ -61,7 +61,7 @@ def test_a_folder_that_holds_something_else_is_refused(tiny_demo, tmp_path, caps
     (tmp_path / "precious.txt").write_text("mine")
     assert main(["demo", "--env", "ring", "--output", str(tmp_path)]) == 2
     assert "is not empty and holds no demo" in capsys.readouterr().err
-    demo = Demo(PLAN, TINY, tmp_path / "a", seed=0, jobs=1)
-    demo.claim_folder()
+    run = Demo(PLAN, TINY, tmp_path / "a", seed=0, jobs=1)
+    run.claim_folder()
     with pytest.raises(FileExistsError, match="other settings"):
         Demo(PLAN, TINY, tmp_path / "a", seed=1, jobs=1).claim_folder()

@@ -13,9 +13,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from dualhead_eval.evaluation.samplers import training_summary
 from dualhead_policy.training.arguments import parse_training_config
 from dualhead_policy.training.checkpoints import last_checkpoint
+from dualhead_policy.training.provenance import training_summary
 from dualhead_policy.training.trainer import Training
 from dualhead_policy.training.window_sources import FreshRingPaths
 

@@ -5,8 +5,9 @@ import json
 
 import pytest
 
-from dualhead_eval.evaluation.samplers import open_policy, training_summary
+from dualhead_eval.evaluation.samplers import open_policy
 from dualhead_policy.pretrained import policy_folder
+from dualhead_policy.training.provenance import training_summary
 
 
 def write_log(root, lines):

@@ -1,0 +1,87 @@
+"""The protocol of an evaluation: pairs, integration steps and thresholds, and the seed of each group of conditions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dualhead_policy.sampling import SamplingCoupling
+
+#: The frozen protocol (sec:gate): 64 samples in each of 20 draws per condition, 20 Euler steps.
+FROZEN_PAIRS = 64 * 20
+FROZEN_NFE = 20
+#: Conditions sampled together; their draws are keyed by the protocol's seed, the NFE and the group's number.
+CONDITIONS_PER_GROUP = 25
+
+
+@dataclass(frozen=True)
+class EvaluationProtocol:
+    """How to evaluate; the defaults are the frozen protocol.
+
+    Attributes:
+        pairs: Sample pairs per condition.
+        nfes: Numbers of Euler steps (NFE) to scan; the first is the reference.
+        taus: Thresholds to scan beside the partition's own, which is the reference.
+        seed: Seed of all draws.
+        coupling: What the heads share.
+
+    Raises:
+        ValueError: If a number is outside its range, or an NFE is given twice.
+    """
+
+    pairs: int = FROZEN_PAIRS
+    nfes: Sequence[int] = (FROZEN_NFE,)
+    taus: Sequence[float] = ()
+    seed: int = 0
+    coupling: SamplingCoupling = field(default_factory=SamplingCoupling)
+
+    def __post_init__(self) -> None:
+        if self.pairs < 1:
+            raise ValueError(f"pairs={self.pairs} is not positive: sample at least 1 pair per condition")
+        if not self.nfes or min(self.nfes) < 1 or len(set(self.nfes)) != len(self.nfes):
+            raise ValueError(
+                f"nfes={list(self.nfes)}, expected one or more different numbers of steps, each at least 1"
+            )
+        if not all(math.isfinite(tau) and tau > 0 for tau in self.taus):
+            raise ValueError(f"taus={list(self.taus)}, expected finite thresholds above 0: give others")
+        if self.seed < 0:
+            raise ValueError(f"seed={self.seed} is negative: give 0 or more")
+        beta = self.coupling.source_noise_beta
+        if beta is not None and not 0 <= beta <= 1:
+            raise ValueError(f"source_noise_beta={beta} is outside [0, 1]: give 1 (private) to 0 (shared noise)")
+
+    @property
+    def reference_nfe(self) -> int:
+        """The NFE of headline numbers."""
+        return self.nfes[0]
+
+    def groups(self, n_conditions: int) -> list[slice]:
+        """The conditions that are sampled together, as slices in order."""
+        starts = range(0, n_conditions, CONDITIONS_PER_GROUP)
+        return [slice(start, min(start + CONDITIONS_PER_GROUP, n_conditions)) for start in starts]
+
+    def group_seeds(self, nfe: int, group: int, count: int = 1) -> list[int]:
+        """Independent seeds of the draws of one group; a longer list begins with a shorter one.
+
+        Args:
+            nfe: Euler steps.
+            group: The group's number in :meth:`groups`.
+            count: Seeds wanted: one for a policy, further ones for what is drawn beside it.
+        """
+        words = np.random.SeedSequence([self.seed, nfe, group]).generate_state(count, np.uint64)
+        return [int(word >> np.uint64(1)) for word in words]
+
+    def describe(self) -> dict[str, Any]:
+        """What a gate's provenance says of the protocol, beside the NFEs and thresholds that the gate holds."""
+        return {
+            "pairs_per_condition": self.pairs,
+            "seed": self.seed,
+            "coupling": {
+                "source_noise_beta": self.coupling.source_noise_beta,
+                "share_token": self.coupling.share_token,
+            },
+        }
