@@ -13,7 +13,7 @@ from dualhead_envs.bypass.task import BIMODAL_BYPASS
 _LAYOUT = BIMODAL_BYPASS_LAYOUT
 
 
-@documented(_LAYOUT)
+@documented(_LAYOUT, BIMODAL_BYPASS.env_id)
 class BimodalBypassEnv(BypassEnv):
     """A Panda carries a cube past a wall to a goal behind it, on the left or on the right.
 
@@ -46,12 +46,17 @@ class BimodalBypassEnv(BypassEnv):
 
     ## Reward and info
     The reward is 1 on success and 0 otherwise. ``info`` holds, at reset and at every step, ``is_success`` (bool),
-    ``mode`` (0 left, 1 right, -1 undecided, of the path so far by ``mode_partition``) and ``collision`` (bool).
+    ``mode`` (0 left, 1 right, -1 undecided, of the path so far by ``mode_partition``), ``collision`` (bool),
+    ``failure``, why the episode would fail if it ended now (``none``, ``collision``; ``drop``: the cube fell though the
+    hand was to hold it; ``miss``: it was let go beside the goal, or never lifted; ``timeout`` at step 300), and
+    ``onset``, the control step at which the perturbation begins to act (-1: none, or not yet decided).
+
+    {perturbations}
 
     ## Arguments
     ``control``; ``feed_forward`` (True: position and pose targets are tracked without lag, False: robosuite's law as
     it is); ``pixels``, ``render_mode`` (``"rgb_array"``), ``camera`` (a camera of the scene, or None for a view of
-    the obstacle) and ``image_size`` (height, width); ``tau``, the partition's threshold in metres.
+    the obstacle) and ``image_size`` (height, width); ``tau``, the partition's threshold in metres; ``perturbation``.
     """
 
     bypass = BIMODAL_BYPASS

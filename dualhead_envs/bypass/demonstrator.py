@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dualhead_envs.bypass.controllers import ROBOSUITE_STIFFNESS
-from dualhead_envs.bypass.environment import InitialState
+from dualhead_envs.bypass.initial_state import InitialState
 from dualhead_envs.bypass.simulation import CONTROL_PERIOD
 from dualhead_envs.bypass.task import ROUTE_CENTER, ROUTE_FLATTENING, ROUTE_YAW, BypassTask
 

@@ -3,43 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 
 from dualhead_envs.bypass.controllers import make_control
+from dualhead_envs.bypass.initial_state import InitialState
+from dualhead_envs.bypass.outcome import CubeFate
 from dualhead_envs.bypass.partition import BypassPartition
+from dualhead_envs.bypass.perturbations.episode import PerturbedEpisode
+from dualhead_envs.bypass.perturbations.perturbation import parse_perturbation
 from dualhead_envs.bypass.simulation import PandaSimulation
 from dualhead_envs.bypass.task import BypassTask
 from dualhead_envs.layout import Layout
 
 #: Steps after which an episode is truncated; a demonstration takes about 200.
 MAX_EPISODE_STEPS = 300
-
-
-@dataclass(frozen=True)
-class InitialState:
-    """What differs between episodes at their start.
-
-    Attributes:
-        cube_x, cube_y, cube_yaw: The cube on the table (m, m, rad).
-        route_radius: R of v3's routes (m); 0 in v2.
-        route_azimuth: theta of v3's routes in [0, pi) (rad); 0 in v2. The condition shows phi = theta mod pi/2
-            only: which of the two routes the generator drew first is not for a policy to see.
-    """
-
-    cube_x: float
-    cube_y: float
-    cube_yaw: float
-    route_radius: float = 0.0
-    route_azimuth: float = 0.0
-
-    @property
-    def phi(self) -> float:
-        """Azimuth of mode 0's route (rad), in [0, pi/2)."""
-        return float(np.mod(self.route_azimuth, 0.5 * np.pi))
 
 
 class BypassEnv(gym.Env):
@@ -60,6 +40,7 @@ class BypassEnv(gym.Env):
         render_mode: str | None = None,
         camera: str | None = None,
         image_size: tuple[int, int] = (256, 256),
+        perturbation: str | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode={render_mode!r} is not supported: choose 'rgb_array' or None")
@@ -76,15 +57,21 @@ class BypassEnv(gym.Env):
         if pixels:
             box = gym.spaces.Box(0, 255, (*self._image_size, 3), np.uint8)
             self.observation_space = gym.spaces.Dict({**self.observation_space.spaces, "pixels": box})
+        env_id = self.bypass.env_id
+        perturbed = None if perturbation is None else parse_perturbation(perturbation, env_id)
         self._arguments = {
             "control": control, "feed_forward": feed_forward, "pixels": pixels, "render_mode": render_mode,
             "camera": camera, "image_size": self._image_size, "tau": partition.tau,
+            "perturbation": perturbation,
         }  # fmt: skip
         # What lerobot-eval asks of an environment.
-        self.task = self.bypass.env_id
+        self.task = env_id
         self._max_episode_steps = MAX_EPISODE_STEPS
         self._control = make_control(control, feed_forward=feed_forward)
         self.simulation = PandaSimulation(self.bypass, self._control.form)
+        self._perturbed = PerturbedEpisode(perturbed, self.simulation)
+        self._fate = CubeFate()
+        self._steps = 0
         self._renderer: Any = None
         self._initial: InitialState | None = None
         self._context: np.ndarray = np.empty(0)
@@ -123,7 +110,7 @@ class BypassEnv(gym.Env):
             raise ValueError(f"reset options {sorted(options)} do not exist: the only option is 'state'")
         self._label, self._strength = -1, 0.0
         if state is None:
-            self._begin(self._draw())
+            self._begin(InitialState.draw(self.bypass, self.np_random))
         else:
             self._restore(state)
         self._ended = False
@@ -139,7 +126,11 @@ class BypassEnv(gym.Env):
         """
         if self._ended:
             raise gym.error.ResetNeeded("the episode has ended or never begun: call reset() before step()")
-        self._control.step(self.simulation, self._checked(action))
+        given = self._checked(action)
+        self._control.step(self.simulation, self._perturbed.act(given, self._steps))
+        self._steps += 1
+        self._perturbed.follow(self._steps)
+        self._fate.follow(self.simulation, given[-1])
         self._follow_mode()
         is_success = not self.simulation.touched and self.simulation.cube_at_goal()
         terminated = is_success or self.simulation.touched
@@ -158,8 +149,10 @@ class BypassEnv(gym.Env):
             "control": self.control,
             "physics": self.simulation.snapshot(),
             "memory": self._control.memory(),
-            "initial": np.array([getattr(initial, name) for name in InitialState.__dataclass_fields__]),
+            "initial": initial.numbers(),
             "mode": np.array([self._label, self._strength]),
+            "progress": np.append(self._steps, self._fate.memory()),
+            "perturbation": self._perturbed.state(),
         }
 
     def render(self) -> np.ndarray | None:
@@ -188,24 +181,30 @@ class BypassEnv(gym.Env):
 
             height, width = self._image_size
             self._renderer = SceneRenderer(self.bypass, width, height, self._camera)
-        return self._renderer.render(self.simulation.data.qpos)
+        simulation = self.simulation
+        return self._renderer.render(simulation.data.qpos, simulation.obstacle_position, simulation.goal)
 
-    def _draw(self) -> InitialState:
-        task, rng = self.bypass, self.np_random
-        ranges = [task.cube_x, task.cube_y, task.cube_yaw]
-        if task.route_radius is not None:
-            ranges += [task.route_radius, (0.0, np.pi)]
-        return InitialState(*(float(rng.uniform(low, high)) for low, high in ranges))
-
-    def _begin(self, initial: InitialState) -> None:
+    def _begin(self, initial: InitialState, key: int | None = None) -> None:
+        """Start the episode of ``initial`` and the perturbation's ``key``, which is drawn by default."""
         self._initial = initial
         self.simulation.reset(initial.cube_x, initial.cube_y, initial.cube_yaw)
         self._control.start(self.simulation)
+        self._steps, self._fate = 0, CubeFate()
+        self._perturbed.begin(self._perturbed.draw_key(self.np_random) if key is None else key, self._hold())
         task = self.bypass
-        context = [*task.goal, *task.obstacle_center, *task.obstacle_half_size]
+        context = [*self.simulation.goal, *task.obstacle_center, *task.obstacle_half_size]
         if task.route_radius is not None:
             context += [initial.route_radius, np.cos(initial.phi), np.sin(initial.phi)]
         self._context = np.array(context)
+
+    def _hold(self) -> np.ndarray:
+        """The action of the present control that stays where the robot is."""
+        simulation = self.simulation
+        here = {
+            "joint": simulation.joints, "position": simulation.position,
+            "rotation": simulation.rotation[:, :2].T.ravel(), "gripper": np.zeros(1),
+        }  # fmt: skip
+        return np.concatenate([here[group] for group in self.layout.control_groups(self.control)])
 
     def _restore(self, state: Any) -> None:
         if not isinstance(state, Mapping):
@@ -214,9 +213,9 @@ class BypassEnv(gym.Env):
                 "{'environment_state': ...} of an episode's first frame"
             )
         if set(state) == {"environment_state"}:
-            self._begin(self._recorded(state["environment_state"]))
+            self._begin(InitialState.recorded(self.bypass, state["environment_state"]))
             return
-        expected = {"env_id", "control", "physics", "memory", "initial", "mode"}
+        expected = {"env_id", "control", "physics", "memory", "initial", "mode", "progress", "perturbation"}
         if set(state) != expected:
             raise ValueError(
                 f"options['state'] has the keys {sorted(state)}, expected {sorted(expected)} as env.unwrapped.state() "
@@ -233,41 +232,17 @@ class BypassEnv(gym.Env):
                 f"options['state']['physics'] has shape {physics.shape}, expected {self.simulation.snapshot_size} "
                 "finite numbers: record it anew with the installed version of MuJoCo"
             )
-        self._begin(InitialState(*(float(value) for value in state["initial"])))
+        key, memory = self._perturbed.checked(state["perturbation"])
+        self._begin(InitialState(*(float(value) for value in state["initial"])), key)
+        self._perturbed.recall(memory)
         self.simulation.restore(physics)
+        self._steps = int(state["progress"][0])
+        self._fate.recall(np.asarray(state["progress"][1:], dtype=np.float64))
         self._label, self._strength = int(state["mode"][0]), float(state["mode"][1])
         if state["control"] == self.control:
             self._control.recall(np.asarray(state["memory"], dtype=np.float64))
         else:
             self._control.start(self.simulation)
-
-    def _recorded(self, environment_state: Any) -> InitialState:
-        """The initial state that a dataset's first frame describes, to float32's precision."""
-        values = np.asarray(environment_state, dtype=np.float64)
-        names = [dimension.name for dimension in self.layout.environment_state]
-        task = self.bypass
-        constants = np.array([*task.goal, *task.obstacle_center, *task.obstacle_half_size])
-        if (
-            values.shape != (len(names),)
-            or not np.isfinite(values).all()
-            or np.abs(values[9:18] - constants).max() > 1e-4
-        ):
-            raise ValueError(
-                f"options['state']['environment_state'] has shape {values.shape} or describes another scene, expected "
-                f"{len(names)} finite numbers of {task.env_id}: use the first frame of one of its episodes"
-            )
-        (x_low, x_high), (y_low, y_high) = task.cube_x, task.cube_y
-        if not (x_low - 0.05 < values[0] < x_high + 0.05 and y_low - 0.05 < values[1] < y_high + 0.05) or (
-            abs(values[2] - 0.821) > 0.005
-        ):
-            raise ValueError(
-                f"options['state']['environment_state'] has the cube at {np.round(values[:3], 3).tolist()}, which is "
-                "not where an episode starts: use an episode's first frame, or env.unwrapped.state() for later ones"
-            )
-        yaw = float(np.arctan2(values[4], values[3]))
-        if task.route_radius is None:
-            return InitialState(values[0], values[1], yaw)
-        return InitialState(values[0], values[1], yaw, values[18], float(np.arctan2(values[20], values[19])))
 
     def _checked(self, action: np.ndarray) -> np.ndarray:
         values = np.asarray(action, dtype=np.float64)
@@ -295,7 +270,14 @@ class BypassEnv(gym.Env):
 
     def _info(self, is_success: bool) -> dict[str, Any]:
         mode = self._label if self._strength >= self.mode_partition.tau else -1
-        return {"is_success": is_success, "mode": mode, "collision": self.simulation.touched}
+        collision = self.simulation.touched
+        failure = self._fate.failure(
+            is_success=is_success, collision=collision, time_is_up=self._steps >= self._max_episode_steps
+        )
+        return {
+            "is_success": is_success, "mode": mode, "collision": collision, "failure": failure,
+            "onset": self._perturbed.onset,
+        }  # fmt: skip
 
     def _observation(self) -> dict[str, np.ndarray]:
         simulation = self.simulation
@@ -312,6 +294,7 @@ class BypassEnv(gym.Env):
                 [simulation.cube_position, cube[:, 0], cube[:, 1], self._context], dtype=np.float32
             ),
         }  # fmt: skip
+        self._perturbed.observe(observation["agent_pos"], observation["environment_state"], self._steps)
         if self._pixels:
             observation["pixels"] = self._picture()
         return observation

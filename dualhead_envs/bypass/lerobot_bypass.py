@@ -12,6 +12,7 @@ from lerobot.envs.configs import EnvConfig
 
 from dualhead_envs.bypass.layout import BIMODAL_BYPASS_LAYOUT, ROTATING_BYPASS_LAYOUT
 from dualhead_envs.bypass.partition import BIMODAL_TAU, ROTATING_TAU
+from dualhead_envs.bypass.perturbations.perturbation import parse_perturbation
 from dualhead_envs.bypass.task import BIMODAL_BYPASS, ROTATING_BYPASS
 from dualhead_envs.layout import Layout
 from dualhead_envs.lerobot_config import DualheadEnvConfig
@@ -22,7 +23,8 @@ class BypassConfig(DualheadEnvConfig):
     """What both bypass environments let one choose; see :class:`~dualhead_envs.bypass.bimodal.BimodalBypassEnv`.
 
     ``env.control`` is joint, position or pose; ``env.feed_forward`` whether targets are tracked without lag;
-    ``env.camera`` and ``env.image_size`` (pixels, square) are those of the videos.
+    ``env.camera`` and ``env.image_size`` (pixels, square) are those of the videos; ``env.perturbation`` is
+    KIND:SEVERITY or KIND@LEVEL (see :mod:`dualhead_envs.bypass.perturbations`).
     """
 
     task: str | None = None
@@ -30,6 +32,7 @@ class BypassConfig(DualheadEnvConfig):
     tau: float = BIMODAL_TAU
     camera: str | None = None
     image_size: int = 256
+    perturbation: str | None = None
 
     def __post_init__(self) -> None:
         env_id = self.env_id
@@ -38,6 +41,8 @@ class BypassConfig(DualheadEnvConfig):
         self.task = env_id
         if not self.tau > 0:
             raise ValueError(f"env.tau={self.tau} should be a positive length in metres, for example {BIMODAL_TAU}")
+        if self.perturbation is not None:
+            parse_perturbation(self.perturbation, env_id)  # refuses what does not exist before any environment is made
         if self.image_size < 1:
             raise ValueError(f"env.image_size={self.image_size} should be a number of pixels, for example 256")
         super().__post_init__()
@@ -56,6 +61,7 @@ class BypassConfig(DualheadEnvConfig):
             "camera": self.camera,
             "image_size": (self.image_size, self.image_size),
             "render_mode": self.render_mode,
+            "perturbation": self.perturbation,
         }
 
 

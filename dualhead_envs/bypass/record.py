@@ -87,6 +87,11 @@ def record_bypass(
     if seed < 0 or (workers is not None and workers < 1):
         raise ValueError(f"seed={seed} and workers={workers} should be at least 0 and 1")
     env_kwargs = dict(env_kwargs or {})
+    if env_kwargs.get("perturbation") is not None:
+        raise ValueError(
+            f"perturbation={env_kwargs['perturbation']!r} cannot be demonstrated, the scripted expert does not react: "
+            "leave it out, and perturb rollouts of a policy"
+        )
     env: Any = gym.make(f"dualhead_envs:{env_id}", **env_kwargs).unwrapped  # refuses bad arguments before any work
     configuration = {
         "recorder": "bypass/2", "env_id": env_id, "env_kwargs": env_kwargs, "pairs": pairs, "seed": seed,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dualhead_envs.bypass.physics_engine import mujoco
-from dualhead_envs.bypass.scene import load_scene
+from dualhead_envs.bypass.scene import GOAL_SITE, OBSTACLE_BODY, SHADOW_SITE, load_scene
 from dualhead_envs.bypass.task import BypassTask
 
 _LIBRARIES = {"egl": ("libEGL.so.1", "libEGL.so"), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}
@@ -97,9 +97,18 @@ class SceneRenderer:
             atexit.register(_close_all)
         _open.add(self)
 
-    def render(self, qpos: np.ndarray) -> np.ndarray:
-        """The scene at generalised positions ``qpos`` (16,): RGB (height, width, 3) uint8."""
+    def render(self, qpos: np.ndarray, obstacle: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """The scene at generalised positions ``qpos`` (16,), with obstacle and goal at (3,) m.
+
+        Returns:
+            RGB (height, width, 3) uint8.
+        """
         self._context.make_current()
+        self._model.body(OBSTACLE_BODY).pos[:] = obstacle
+        for site in range(self._model.nsite):
+            name = self._model.site(site).name
+            if name in (GOAL_SITE, SHADOW_SITE):
+                self._model.site_pos[site, :2] = (goal if name == GOAL_SITE else obstacle)[:2]
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)

@@ -13,7 +13,7 @@ from dualhead_envs.bypass.task import ROTATING_BYPASS
 _LAYOUT = ROTATING_BYPASS_LAYOUT
 
 
-@documented(_LAYOUT)
+@documented(_LAYOUT, ROTATING_BYPASS.env_id)
 class RotatingBypassEnv(BypassEnv):
     """A Panda carries a cube past a suspended beam to a goal behind it, by one of two routes.
 
@@ -40,6 +40,8 @@ class RotatingBypassEnv(BypassEnv):
 
     ## Reward and info
     As in BimodalBypass-v2; ``mode`` is 0 for the route at phi, 1 for the one at phi + pi/2, -1 while undecided.
+
+    {perturbations}
 
     ## Arguments
     As in BimodalBypass-v2.

@@ -27,6 +27,8 @@ SceneForm = Literal["torque", "servo", "visual"]
 OBSTACLE_BODY = "obstacle"
 OBSTACLE_GEOM = "obstacle_collision"
 OBSTACLE_TOUCH = "obstacle_touch"
+GOAL_SITE = "goal"
+SHADOW_SITE = "obstacle_shadow"
 
 #: Stiffness of the joint servos (N m/rad). Damping is critical for a joint's own inertia in `SERVO_INERTIA`.
 SERVO_STIFFNESS = (3600.0, 3600.0, 3600.0, 3600.0, 1500.0, 900.0, 450.0)
@@ -60,7 +62,7 @@ def _add_obstacle_and_goal(root: ElementTree.Element, task: BypassTask) -> None:
         size=_text([half + 0.01 for half in task.obstacle_half_size]),
     )  # fmt: skip
     ElementTree.SubElement(
-        world, "site", name="goal", type="cylinder", rgba="0.20 0.60 0.30 0.6", group="1",
+        world, "site", name=GOAL_SITE, type="cylinder", rgba="0.20 0.60 0.30 0.6", group="1",
         pos=_text([task.goal[0], task.goal[1], TABLE_HEIGHT + 0.0015]), size=_text([task.goal_radius, 0.001]),
     )  # fmt: skip
     sensors = root.find("sensor")
@@ -95,7 +97,7 @@ def _dress(root: ElementTree.Element, task: BypassTask) -> None:
     (x, y, z), (half_x, half_y, half_z) = task.obstacle_center, task.obstacle_half_size
     if z - half_z > TABLE_HEIGHT + 0.01:
         ElementTree.SubElement(
-            world, "site", name="obstacle_shadow", type="box", rgba="0 0 0 0.25", group="1",
+            world, "site", name=SHADOW_SITE, type="box", rgba="0 0 0 0.25", group="1",
             pos=_text([x, y, TABLE_HEIGHT + 0.001]), size=_text([half_x, half_y, 0.0005]),
         )  # fmt: skip
 

@@ -20,6 +20,9 @@ TIMESTEP = 0.002
 CONTROL_PERIOD = SUBSTEPS * TIMESTEP
 #: robosuite's gripper closes by this much of its range, -1 (open) to 1 (closed), in a physics step.
 GRIPPER_RATE = 0.01
+#: The cube counts as lifted this far above the table (m).
+LIFTED = 0.04
+_HAND = "robot0_right_hand"
 #: Reach of a finger in metres.
 FINGER_RANGE = 0.04
 
@@ -33,6 +36,7 @@ class PandaSimulation:
         model, data: MuJoCo's own.
         gripper: The gripper's set point, from -1 (open) to 1 (closed).
         touched: Whether anything touched the obstacle since the reset.
+        goal: Where the cube belongs (3,) in m; the task's goal unless it was moved.
     """
 
     def __init__(self, task: BypassTask, form: SceneForm) -> None:
@@ -57,10 +61,15 @@ class PandaSimulation:
         self.gripper_control = self.data.ctrl[FINGERS]
         self.gripper = -1.0
         self.touched = False
+        self.goal = np.array(task.goal)
+        self._push = self.data.xfrc_applied[mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _HAND)][:3]
+        self._obstacle_position = self.model.body_pos[self.model.geom_bodyid[self._obstacle]]
 
     def reset(self, cube_x: float, cube_y: float, cube_yaw: float) -> None:
         """The robot at its start with an open hand, the cube on the table at (x, y) in m, turned by yaw in rad."""
         mujoco.mj_resetData(self.model, self.data)
+        self._obstacle_position[:] = self.task.obstacle_center
+        self.goal = np.array(self.task.goal)
         self.joints[:] = START_JOINTS
         self.fingers[:] = (FINGER_RANGE, -FINGER_RANGE)
         half = 0.5 * cube_yaw
@@ -98,12 +107,53 @@ class PandaSimulation:
 
     def cube_at_goal(self) -> bool:
         """Whether the cube lies at the goal, at rest."""
-        task, cube = self.task, self.cube_position
+        cube, goal = self.cube_position, self.goal
+        return self.cube_rests and float(np.hypot(cube[0] - goal[0], cube[1] - goal[1])) <= self.task.goal_radius
+
+    @property
+    def cube_rests(self) -> bool:
+        """Whether the cube lies on the table, at rest."""
+        task = self.task
         return (
-            float(np.hypot(cube[0] - task.goal[0], cube[1] - task.goal[1])) <= task.goal_radius
-            and bool(cube[2] < task.goal_height)
+            bool(self.cube_position[2] < task.goal_height)
             and float(np.linalg.norm(self.cube_velocity[:3])) <= task.goal_speed
         )
+
+    @property
+    def cube_lifted(self) -> bool:
+        """Whether the cube is well above the table."""
+        return bool(self.cube_position[2] > TABLE_HEIGHT + CUBE_HALF_SIZE + LIFTED)
+
+    def push_hand(self, force: np.ndarray) -> None:
+        """Let ``force`` (3,) in N, world frame, act on the hand until it is told otherwise."""
+        self._push[:] = force
+
+    def move_obstacle(self, offset: np.ndarray) -> None:
+        """Put the obstacle ``offset`` (3,) in m beside its place, until the next reset."""
+        self._obstacle_position[:] = self.task.obstacle_center + offset
+        self.update_kinematics()
+
+    def move_goal(self, offset: np.ndarray) -> None:
+        """Put the goal ``offset`` (3,) in m beside its place, until the next reset."""
+        self.goal = self.task.goal + offset
+
+    def scale_cube_mass(self, factor: float) -> None:
+        """Make the cube ``factor`` times as heavy, for good; call before the first reset."""
+        self.model.body_mass[self._cube] *= factor
+        self.model.body_inertia[self._cube] *= factor
+        mujoco.mj_setConst(self.model, self.data)
+
+    def scale_grip_friction(self, factor: float) -> None:
+        """Make the sliding friction of cube and fingers ``factor`` times what it was, for good."""
+        for geom in range(self.model.ngeom):
+            body = self.model.body(self.model.geom_bodyid[geom]).name
+            if body == "cube_main" or "finger" in body:
+                self.model.geom_friction[geom, 0] *= factor
+
+    @property
+    def obstacle_position(self) -> np.ndarray:
+        """Where the obstacle's centre is (3,) in m."""
+        return self._obstacle_position.copy()
 
     def clearance(self, limit: float = 0.2) -> float:
         """Smallest distance (m, at most ``limit``) between the obstacle and anything that moves.

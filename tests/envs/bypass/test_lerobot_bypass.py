@@ -62,6 +62,12 @@ def test_one_dual_action_vector_succeeds_under_every_control(kind, actions, cont
     assert result["action"].shape[-1] == width
 
 
+def test_a_perturbation_reaches_the_environment(kind):
+    env = make_env(make_env_config(kind, perturbation="joint_bias@2"), n_envs=1)[kind][0]
+    assert env.envs[0].unwrapped._perturbed.name.startswith("joint_bias:")
+    env.close()
+
+
 @pytest.mark.slow
 def test_asynchronous_workers_do_the_same(kind, actions):
     config = make_env_config(kind)
@@ -86,6 +92,7 @@ def test_bad_settings_are_refused_where_they_are_made(kind):
         ({"control": "velocity"}, "control='velocity'"),
         ({"tau": -1.0}, "env.tau"),
         ({"image_size": 0}, "env.image_size"),
+        ({"perturbation": "wind:3"}, "no known kind"),
         ({"task": "RotatingRing-v2"}, "contradicts"),
     ):
         with pytest.raises(ValueError, match=words):

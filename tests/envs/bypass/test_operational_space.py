@@ -12,7 +12,7 @@ import json
 import numpy as np
 from dualhead_envs.bypass.controllers import OperationalSpaceControl
 from dualhead_envs.bypass.demonstrator import follow, grasp_and_lift, pass_and_release
-from dualhead_envs.bypass.environment import InitialState
+from dualhead_envs.bypass.initial_state import InitialState
 from dualhead_envs.bypass.robosuite_reference import RobosuiteReference
 from dualhead_envs.bypass.simulation import PandaSimulation
 from dualhead_envs.bypass.task import BIMODAL_BYPASS, ROTATING_BYPASS

@@ -200,6 +200,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(recording, tmp_path, monk
         ("BimodalBypass-v2", {"pairs": 2}, "at least 3"),
         ("BimodalBypass-v2", {"workers": 0}, "at least 0 and 1"),
         ("BimodalBypass-v2", {"env_kwargs": {"control": "velocity"}}, "control='velocity'"),
+        ("BimodalBypass-v2", {"env_kwargs": {"perturbation": "noise:0.03"}}, "cannot be demonstrated"),
     ],
 )
 def test_bad_arguments_are_refused_before_any_work(tmp_path, env_id, options, words):
