@@ -99,7 +99,7 @@ class Demo:
                 "--policy.device=cpu",
                 *policy.flags,
             ]
-            if output.exists():
+            if last is not None:
                 flags = ["--resume=true", f"--output_dir={output}"]
             runs.append(Run(policy.name, flags))
         if runs:
