@@ -26,8 +26,9 @@ def test_coupled_noise_is_standard_normal_per_head_and_correlated_by_one_minus_b
 
 
 def test_the_narrower_head_takes_the_first_coordinates_of_the_shared_noise():
-    noise = coupled_source_noise((3, 16), {"joint": 7, "position": 3}, 0.0, keyed_generator(1))
+    noise = coupled_source_noise((3, 16), {"joint": 7, "position": 3, "rotation": 6}, 0.0, keyed_generator(1))
     assert torch.equal(noise["joint"][..., :3], noise["position"])
+    assert torch.equal(noise["joint"][..., :6], noise["rotation"])
 
 
 @given(seed=st.integers(0, 2**31), step=st.integers(0, 10**9))
