@@ -44,6 +44,7 @@ class Comparison:
         paper: The paper's value; figures printed as a range are left out.
         head_valid: Ours under the head-valid approximation, for rows that the paper computed so (None else).
         n: Runs behind the paper's value.
+        loss: Whether our run's loss had settled.
         note: The paper's remark on its value, or why ours cannot be read.
     """
 
@@ -56,6 +57,7 @@ class Comparison:
     paper: float
     head_valid: float | None
     n: int | None
+    loss: str
     note: str
 
     @property
@@ -84,7 +86,7 @@ def compare_with_paper(runs: Iterable[Run]) -> list[Comparison]:
             approximate = figure.source in ROBOT_TABLES and not name.startswith(EXACT_ROWS)
             comparisons.append(
                 Comparison(
-                    label=run.label,
+                    label=run.name,
                     row=name,
                     source=figure.source,
                     quantity=ours,
@@ -93,6 +95,7 @@ def compare_with_paper(runs: Iterable[Run]) -> list[Comparison]:
                     paper=figure.value,
                     head_valid=head_valid.get(ours) if approximate else None,
                     n=figure.n,
+                    loss=run.training.loss,
                     note=figure.note if run.first.readable else run.first.reading,
                 )
             )

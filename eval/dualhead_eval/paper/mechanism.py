@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dualhead_eval.gate import Gate
+from dualhead_eval.statistics.training_record import policy_provenance_of
 
 #: Partition name to the paper's environment prefix.
 ENVIRONMENTS = {"ring": "testbed", "bypass-v2": "v2", "rotating-v3": "v3"}
@@ -33,6 +34,7 @@ class Mechanism:
         latent_dim: Dimension of the latent; 0 is the anchor.
         kl_weight: KL weight of the posterior.
         reference: Whether the run is the exact (or moment-matched) reference rather than a trained policy.
+        largest_prior: Largest mode probability of the data, NaN where it is unknown.
         standard: False if the setting (priors, spacing, spread, coupling of tokens, a third head) is not that of the
             paper's main tables.
     """
@@ -49,13 +51,15 @@ class Mechanism:
     latent_dim: int
     kl_weight: float
     reference: bool
+    largest_prior: float
     standard: bool
 
     @property
     def family(self) -> str:
         """Family in the paper's words, without environment; empty if it has none."""
-        if not self.standard:
-            return ""
+        return self._family() if self.standard else ""
+
+    def _family(self) -> str:
         if self.token is not None:
             return self._token_family()
         if self.latent == "posterior":
@@ -98,10 +102,17 @@ class Mechanism:
             return f"{row}/{self.representation}"
         return f"{row}/K{self.n_modes}"
 
+    @property
+    def touched_row(self) -> str:
+        """The paper's row, or the row of its skewed testbed that has this mechanism and prior; empty if it has none."""
+        if self.paper_row or self.environment != "testbed" or not self.largest_prior > 1 / self.n_modes + 1e-9:
+            return self.paper_row
+        return f"testbed skew/{self._family()}/p{self.largest_prior:.2f}"
+
 
 def mechanism_of(gate: Gate) -> Mechanism:
     """The mechanism of a gate written by ``dualhead evaluate``; unknown parts take the uncoupled value."""
-    provenance = gate.provenance
+    provenance = {**gate.provenance, **policy_provenance_of(gate)}
     settings: Mapping[str, Any] = {**provenance, **provenance.get("config", {})}
     coupling = provenance.get("coupling", {})
     beta = coupling.get("source_noise_beta")
@@ -114,6 +125,8 @@ def mechanism_of(gate: Gate) -> Mechanism:
     balanced = probabilities is None or abs(probabilities - 1 / gate.n_modes).max() < 1e-9
     standard = balanced and coupling.get("share_token", True) and dataset.get("mode_angles") is None
     standard = standard and dataset.get("path_spread", 0.08) == 0.08
+    # The paper's rows are sampled under test conditions, not recorded in closed loop.
+    standard = standard and "rollouts" not in provenance
     # The third head's runs (tab:pose) are no rows of tab:v3.
     standard = standard and not settings.get("rotation_head", False)
     return Mechanism(
@@ -129,5 +142,6 @@ def mechanism_of(gate: Gate) -> Mechanism:
         latent_dim=int(settings.get("latent_dim") or 0),
         kl_weight=float(settings.get("kl_weight") or 0.0),
         reference="reference" in str(provenance.get("method", "")),
+        largest_prior=float("nan") if probabilities is None else float(probabilities.max()),
         standard=bool(standard),
     )

@@ -10,7 +10,10 @@ from importlib import resources
 
 @dataclass(frozen=True)
 class PaperNumber:
-    """One printed figure: a value, or a range in ``low`` and ``high``, over ``n`` runs."""
+    """One printed figure: a value, or a range in ``low`` and ``high``, over ``n`` runs.
+
+    ``resolution`` is half a unit of its last printed digit: what rounding may have hidden.
+    """
 
     source: str
     row: str
@@ -21,6 +24,7 @@ class PaperNumber:
     n: int | None
     unit: str
     note: str
+    resolution: float
 
 
 @cache
@@ -42,6 +46,7 @@ def paper_numbers() -> tuple[PaperNumber, ...]:
             int(row["n"]) if row["n"] else None,
             row["unit"],
             row["note"],
+            0.5 * 10.0 ** -len(row["value"].partition(".")[2]),
         )
         for row in csv.DictReader(text.splitlines())
     )

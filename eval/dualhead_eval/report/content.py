@@ -14,7 +14,9 @@ from dualhead_eval.evaluation.rollouts import ClosedLoop
 from dualhead_eval.gate import Gate
 from dualhead_eval.paper.claims import Grade, grade_claims
 from dualhead_eval.paper.comparison import Comparison, compare_with_paper
-from dualhead_eval.paper.sites import SiteComparison, compare_sites
+from dualhead_eval.paper.contradictions import contradictions
+from dualhead_eval.paper.mechanism import mechanism_of
+from dualhead_eval.paper.sites import SiteComparison, compare_sites, criterion_contradiction
 from dualhead_eval.statistics.family_summary import FamilySummary, find_families
 from dualhead_eval.statistics.run import Run, open_runs
 from dualhead_eval.statistics.run_summary import RunSummary
@@ -36,6 +38,7 @@ class Report:
         comparisons: Our numbers beside the paper's, for runs at their reference point.
         sites: Sites beside the paper's, for runs at their reference point.
         claims: The paper's claims graded on the runs.
+        contradictions: The paper's rows that the runs touch, with what their printed numbers contradict.
         tau: Threshold asked for, None for each gate's reference.
         nfe: Integration steps asked for, None for each gate's reference.
     """
@@ -46,6 +49,7 @@ class Report:
     comparisons: tuple[Comparison, ...]
     sites: tuple[SiteComparison, ...]
     claims: tuple[Grade, ...]
+    contradictions: tuple[tuple[str, str], ...]
     tau: float | None = None
     nfe: int | None = None
 
@@ -53,6 +57,11 @@ class Report:
     def pairs(self) -> tuple[RunSummary, ...]:
         """Every pair of heads of every run."""
         return tuple(pair for run in self.runs for pair in run.pairs)
+
+    @property
+    def run_pairs(self) -> list[tuple[Run, RunSummary]]:
+        """Every pair of heads with its run."""
+        return [(run, pair) for run in self.runs for pair in run.pairs]
 
     @property
     def reference_only(self) -> str:
@@ -113,9 +122,16 @@ def make_report(
         comparisons=tuple(compare_with_paper(runs)),
         sites=tuple(compare_sites(runs)),
         claims=tuple(grade_claims(runs)),
+        contradictions=tuple(_contradictions(runs)),
         tau=tau,
         nfe=nfe,
     )
+
+
+def _contradictions(runs: Iterable[Run]) -> list[tuple[str, str]]:
+    rows = dict.fromkeys(mechanism_of(run.gate).touched_row for run in runs)
+    found = [(row, text) for row in rows for text in (*contradictions(row), criterion_contradiction(row))]
+    return [(row, text) for row, text in found if text]
 
 
 def _named(runs: Sequence[Run]) -> list[Run]:
@@ -152,14 +168,15 @@ def _adjusted(runs: Sequence[Run]) -> list[Run]:
 def report_json(report: Report) -> list[dict[str, Any]]:
     """One JSON object for every pair of heads of every run; undefined numbers are null."""
     objects = []
-    for pair in report.pairs:
+    for run, pair in report.run_pairs:
         summary = asdict(pair)
         summary["occupancy"] = {
             "site": pair.occupancy.site,
             "word": pair.occupancy.word,
             "meaning": pair.occupancy.meaning,
         }
-        summary |= {"readable": pair.readable, "reading": pair.reading}
+        summary |= {"readable": pair.readable, "reading": pair.reading, "loss": run.training.loss}
+        summary |= {"seed": run.training.seed, "steps": run.training.steps, "network": run.training.network_name}
         summary["equivalence"]["verdict"] = pair.equivalence.verdict
         objects.append(_without_nan(summary))
     return objects

@@ -5,37 +5,24 @@ from __future__ import annotations
 from dualhead_eval.effects.sites import SITE_NAMES
 from dualhead_eval.paper.sites import SiteComparison
 from dualhead_eval.report.content import Report
-from dualhead_eval.report.table import RHO, Cell, Column, Table, bounds, number
+from dualhead_eval.report.table import LOSS, RHO, Cell, Column, Table, bounds, number
 
 NO_ROW = "None of these runs has the setting of a row in the paper."
 
 
 def sites_table(report: Report) -> Table:
-    """One line a run: the numbers that matter, and whether both lie at the same site."""
-    lines = []
-    for c in report.sites:
-        s, rho = c.run.first, c.paper_value("rho")
-        gap = "" if rho is None or s.rho != s.rho else f"{100 * (s.rho - rho):+.1f} points"
-        lines.append(
-            (
-                c.run.name,
-                c.paper_name,
-                _both(s.valid_rate, c.paper_value("valid_pair_rate"), ".3f"),
-                _both(s.rho, rho, "+.1%"),
-                gap,
-                _both(c.run.residual_mm, c.paper_value("residual_mm"), ".1f"),
-                f"{c.site} / {c.paper_site}{'*' if c.derived else ''}",
-                "yes" if c.agrees else Cell("NO"),
-            )
-        )
+    """One line per run: the numbers that matter, whether both lie at one site, and within the spread of its seeds."""
+    lines = [_site_line(c) for c in report.sites]
     columns = (
         Column("run", text=True),
         Column("the paper's row", text=True),
         Column("valid"),
         Column(RHO),
-        Column("difference"),
+        Column("spread", f"where {RHO} of one more of the paper's seeds is expected (95%), in percent"),
+        Column("inside?"),
         Column("residual mm"),
-        Column("site", f"where the run lies in the attainable region ({_site_names()}; - negative)"),
+        LOSS,
+        Column("site", f"where the run lies in the attainable region ({_site_names()}; - negative, ? not assigned)"),
         Column("same?"),
     )
     return Table(
@@ -46,14 +33,51 @@ def sites_table(report: Report) -> Table:
     )
 
 
+def _site_line(c: SiteComparison) -> tuple[str | Cell, ...]:
+    s = c.run.first
+    no = Cell("NO")
+    # A run at another site whose rho could be one more of the paper's seeds does not disagree with them.
+    different = "no" if c.within_spread else no
+    return (
+        c.run.name,
+        c.paper_name + (" †" if c.contradicted else ""),
+        _both(s.valid_rate, c.paper_value("valid_pair_rate"), ".3f"),
+        _both(s.rho, c.paper_value("rho"), "+.1%"),
+        "-" if c.spread is None else bounds(c.spread, "+.1%"),
+        "-" if c.within_spread is None else "yes" if c.within_spread else no,
+        _both(c.run.residual_mm, c.paper_value("residual_mm"), ".1f"),
+        c.run.training.loss,
+        f"{c.site} / {c.paper_site}",
+        "-" if c.agrees is None else "yes" if c.agrees else different,
+    )
+
+
 def _notes(sites: tuple[SiteComparison, ...]) -> list[str]:
     notes = []
-    if any(c.derived for c in sites):
-        notes.append("* the paper prints no site for this row: it follows from its rho and C by the same thresholds")
-    different = [c for c in sites if not c.agrees]
-    notes.append(f"{len(sites) - len(different)} of {len(sites)} runs lie at the paper's site")
-    notes += [f"not {c.run.name}: {_site(c.site)}, where the paper has {_site(c.paper_site)}" for c in different]
+    assigned, spread = ([c for c in sites if getattr(c, name) is not None] for name in ("agrees", "within_spread"))
+    same, inside = sum(c.agrees is True for c in assigned), sum(c.within_spread is True for c in spread)
+    notes.append(
+        f"{same} of the {len(assigned)} runs whose row has a site lie there; {inside} of the {len(spread)} whose row "
+        "has several seeds lie within their spread"
+    )
+    notes += [
+        f"not {c.run.name} (loss {c.run.training.loss}): {_site(c.site)}, where the paper has {_site(c.paper_site)}"
+        + (", though within the spread of its seeds" if c.within_spread else "")
+        for c in assigned
+        if not c.agrees
+    ]
+    if any(c.contradicted for c in sites):
+        notes.append("† printed numbers of this row contradict each other, see below")
     return notes
+
+
+def contradictions_table(report: Report) -> Table | None:
+    """What the paper prints about the rows that the runs touch and cannot be true together; None without any."""
+    if not report.contradictions:
+        return None
+    columns = (Column("the paper's row", text=True), Column("its printed numbers", text=True))
+    note = "computed from the printed figures by the functions that give ours; rounding alone never makes one"
+    return Table("Where the paper's own numbers contradict each other", columns, report.contradictions, notes=(note,))
 
 
 def comparisons_table(report: Report) -> Table:
@@ -67,6 +91,7 @@ def comparisons_table(report: Report) -> Table:
                 c.row,
                 c.source,
                 c.quantity,
+                c.loss,
                 number(c.ours, spec),
                 bounds(c.interval, spec),
                 "" if c.head_valid is None else number(c.head_valid, spec),
@@ -81,6 +106,7 @@ def comparisons_table(report: Report) -> Table:
         Column("the paper's row", text=True),
         Column("source", text=True, detail=True),
         Column("quantity", text=True),
+        LOSS,
         Column("ours"),
         Column("95% (conditions)"),
         Column("head-valid", "ours under the approximation that the paper's row uses", detail=True),
@@ -98,10 +124,12 @@ def claims_table(report: Report) -> Table:
     columns = (
         Column("claim", text=True),
         Column("grade", text=True),
+        Column("seeds", "training seeds behind the grade", text=True),
+        LOSS,
         Column("evidence", text=True),
         Column("criterion", text=True, detail=True),
     )
-    lines = tuple((grade.claim, grade.grade, grade.evidence, grade.criterion) for grade in report.claims)
+    lines = tuple((g.claim, g.grade, g.seeds or "-", g.loss or "-", g.evidence, g.criterion) for g in report.claims)
     return Table("The paper's claims on these runs", columns, lines)
 
 

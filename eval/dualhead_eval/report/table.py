@@ -27,6 +27,15 @@ class Column:
     detail: bool = False
 
 
+#: A column of every table that prints a rho: no effect is read without it.
+LOSS = Column(
+    "loss",
+    "whether the flow loss had settled (the last tenth of its log within 1% of the tenth before) or was still falling;"
+    " (total): judged on all terms together",
+    text=True,
+)
+
+
 @dataclass(frozen=True)
 class Cell:
     """A cell that a reader should not miss."""

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from dualhead_eval.effects.sites import Occupancy
 from dualhead_eval.report.content import Report
-from dualhead_eval.report.paper_tables import claims_table, comparisons_table, sites_table
-from dualhead_eval.report.table import RHO, Cell, Column, Table, bounds, equivalence, number, with_bounds
+from dualhead_eval.report.paper_tables import claims_table, comparisons_table, contradictions_table, sites_table
+from dualhead_eval.report.table import LOSS, RHO, Cell, Column, Table, bounds, equivalence, number, with_bounds
 from dualhead_eval.statistics.run_summary import FEW_PAIRS, RunSummary
 
 _VALID = Column(
@@ -37,12 +37,15 @@ def report_tables(report: Report) -> list[Table]:
 
 def paper_tables(report: Report) -> list[Table]:
     """The runs beside the paper's rows, and its claims on them."""
-    return [sites_table(report), comparisons_table(report), claims_table(report)] if report.runs else []
+    if not report.runs:
+        return []
+    tables = [sites_table(report), contradictions_table(report), comparisons_table(report), claims_table(report)]
+    return [table for table in tables if table is not None]
 
 
 def effects_table(report: Report) -> Table:
     """The effect of every pair of heads of every run. What all share stands above it instead of in columns."""
-    rows = [(run.name, pair) for run in report.runs for pair in run.pairs]
+    rows = report.run_pairs
     point: dict[str, Callable[[RunSummary], str]] = {
         "K": lambda pair: str(pair.n_modes),
         "τ": lambda pair: f"{pair.tau:g}",
@@ -54,15 +57,16 @@ def effects_table(report: Report) -> Table:
     columns = [Column("run", text=True), *(Column(name, text=name == "heads") for name in varying)]
     columns += [_VALID, _CAPACITY, _EFFECT]
     columns.append(Column(f"{RHO} [95%]", "Δ / C: 0 independent, 1 always together; in brackets over conditions"))
-    columns += [_EQUIVALENCE, _READING]
+    columns += [_EQUIVALENCE, LOSS, _READING, *_TRAINING]
     columns += [Column(name, meaning, detail=True) for name, meaning, _ in _DETAILS]
     lines = []
-    for name, pair in rows:
-        cells: list[str | Cell] = [name + ("*" if pair.estimator == "unbiased" else "")]
+    for run, pair in rows:
+        cells: list[str | Cell] = [run.name + ("*" if pair.estimator == "unbiased" else "")]
         cells += [cell(pair) for cell in varying.values()]
         cells += [number(pair.valid_rate, ".3f"), number(pair.capacity, ".4f"), number(pair.delta, "+.4f")]
         cells += [with_bounds(pair.rho, pair.intervals["rho"], "+.1%"), equivalence(pair.equivalence)]
-        cells.append(pair.reading if pair.readable else Cell(pair.reading))
+        cells += [run.training.loss, pair.reading if pair.readable else Cell(pair.reading)]
+        cells += [_known(run.training.steps), _known(run.training.seed), run.training.network_name or "-"]
         lines.append((*cells, *(cell(pair) for _, _, cell in _DETAILS)))
     notes: tuple[str, ...] = ()
     if any(pair.estimator == "unbiased" for _, pair in rows):
@@ -77,6 +81,22 @@ def effects_table(report: Report) -> Table:
     )
 
 
+_TRAINING = (
+    Column("steps", "training steps", detail=True),
+    Column("seed", "training seed", detail=True),
+    Column("network", "preconditioning, conditioning, layers x units, noise on observations, padding", True, True),
+)
+
+
+def _known(value: int | None) -> str:
+    return "-" if value is None else f"{value}"
+
+
+def _p_value(pair: RunSummary) -> str:
+    shown = number(pair.adjusted_p_value, ".2g")
+    return f"<= {shown}" if pair.p_value_is_bound else shown
+
+
 _DETAILS: Sequence[tuple[str, str, Callable[[RunSummary], str]]] = (
     ("Δ 95%", "", lambda pair: bounds(pair.intervals["delta"], "+.4f")),
     ("obs", "observed mismatch", lambda pair: number(pair.obs, ".4f")),
@@ -84,8 +104,8 @@ _DETAILS: Sequence[tuple[str, str, Callable[[RunSummary], str]]] = (
     ("C tight", "the most that the two marginals allow", lambda pair: number(pair.capacity_tight, ".4f")),
     (
         f"p ({RHO} = 0)",
-        "bootstrap p-value, adjusted over the runs (Benjamini and Hochberg)",
-        lambda pair: number(pair.adjusted_p_value, ".2g"),
+        "bootstrap p-value, adjusted over the runs (Benjamini and Hochberg); <=: no replicate beyond zero",
+        _p_value,
     ),
     ("pooled Δ", "the effect of the pooled table", lambda pair: number(pair.delta_pooled, "+.4f")),
     ("Simpson", "pooled Δ less Δ: co-movement of the marginals over conditions", lambda p: number(p.simpson, "+.4f")),
@@ -113,6 +133,7 @@ def families_table(report: Report) -> Table | None:
         Column(f"{RHO} [95%]", "mean over seeds; in brackets Student's t interval over seeds"),
         Column("sd", f"of {RHO} between seeds"),
         Column(f"{RHO} = 0?"),
+        LOSS,
         _READING,
     )
     lines = []
@@ -121,7 +142,7 @@ def families_table(report: Report) -> Table | None:
         lines.append(
             (
                 family.label,
-                str(len(family.runs)),
+                f"{len(family.runs)} ({', '.join(map(str, family.seeds))})",
                 number(mean["valid_rate"], ".3f"),
                 number(mean["capacity"], ".4f"),
                 number(mean["delta"], "+.4f"),
@@ -129,6 +150,7 @@ def families_table(report: Report) -> Table | None:
                 with_bounds(mean["rho"], family.rho_interval, "+.1%"),
                 number(family.sd["rho"], ".1%"),
                 equivalence(family.equivalence),
+                family.loss,
                 f"{family.occupancy.word} ({family.occupancy.site})",
             )
         )

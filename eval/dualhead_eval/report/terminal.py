@@ -9,8 +9,8 @@ from rich.text import Text
 
 from dualhead_eval.report.table import Cell, Table, printable
 
-#: Columns narrower than this are not broken further, so that words stay whole.
-_SHORTEST_TEXT = 12
+#: Words up to this length are kept whole; longer ones, such as labels of runs, are broken where space is scarce.
+_SHORTEST_TEXT = 15
 
 
 def render_table(table: Table, *, explain: bool = True) -> Group:
@@ -29,7 +29,7 @@ def render_table(table: Table, *, explain: bool = True) -> Group:
         for index in shown:
             column, texts = table.columns[index], _texts(table, index)
             if column.text:
-                shortest = min(_SHORTEST_TEXT, max(map(len, texts)))
+                shortest = min(_SHORTEST_TEXT, _longest_word(texts))
                 lines.add_column(_text(column.name), overflow="fold", min_width=shortest)
             else:
                 # A number may move to a second line away from its interval; neither is ever broken.

@@ -58,6 +58,11 @@ def bootstrap_p_value(resamples: Resamples, name: str) -> float:
     return min(1.0, 2 * (1 + beyond) / (1 + defined.size))
 
 
+def smallest_p_value(resamples: Resamples, name: str) -> float:
+    """The p-value where no replicate lies on the other side of zero: more replicates could only lower it."""
+    return 2 / (1 + int(np.isfinite(resamples.values[name]).sum()))
+
+
 def resample_weights(n: int, draws: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """How often each of ``n`` units occurs in each of ``draws`` bootstrap samples, ``(draws, n)``."""
     chosen = rng.integers(0, n, size=(draws, n))

@@ -10,6 +10,7 @@ from dualhead_eval.gate import Gate
 from dualhead_eval.residuals.strata import ResidualSummary, summarise_strata
 from dualhead_eval.statistics.head_agreement import HeadAgreement, all_heads_agreement
 from dualhead_eval.statistics.run_summary import RunSummary, summarise_run
+from dualhead_eval.statistics.training_record import TrainingRecord, training_record
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Run:
         pairs: Summary of every pair of heads; the gate's first two heads come first.
         residuals: Residual by component (``"position"``, ...).
         agreement: Agreement of all heads at once, None with two heads.
+        training: The training behind it.
         name: What a report calls the run, so that no two of its runs have one name.
     """
 
@@ -28,6 +30,7 @@ class Run:
     pairs: tuple[RunSummary, ...]
     residuals: dict[str, ResidualSummary]
     agreement: HeadAgreement | None
+    training: TrainingRecord
     name: str = ""
 
     @property
@@ -64,6 +67,7 @@ def open_run(gate: Gate, *, tau: float | None = None, nfe: int | None = None) ->
         pairs,
         {name: summarise_strata(strata.at(index)) for name, strata in gate.strata.items()},
         all_heads_agreement(gate, tau=tau, nfe=nfe) if len(gate.heads) > 2 else None,
+        training_record(gate),
         gate.label,
     )
 

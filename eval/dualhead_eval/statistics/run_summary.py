@@ -26,6 +26,7 @@ from dualhead_eval.statistics.bootstrap import (
     bootstrap_conditions,
     bootstrap_p_value,
     equivalence_test,
+    smallest_p_value,
 )
 from dualhead_eval.statistics.interval import Interval
 from dualhead_eval.statistics.run_statistics import condition_sums
@@ -73,6 +74,7 @@ class RunSummary:
         reason: Why rho is undefined; empty where it is defined.
         partition: Name of the mode partition, empty for anyone's counts.
         name: What a report calls the run and its pair of heads; by default the label.
+        p_value_is_bound: Whether no replicate lies beyond zero, so that p_value is only a bound from above.
         adjusted_p_value: p_value adjusted for the runs of a report (Benjamini and Hochberg), NaN outside one.
     """
 
@@ -115,6 +117,7 @@ class RunSummary:
     reason: str
     partition: str = ""
     name: str = ""
+    p_value_is_bound: bool = False
     adjusted_p_value: float = float("nan")
 
     @property
@@ -215,6 +218,7 @@ def summarise_table(
     pooled = coordination(both_valid(counts).sum(axis=0))
     units = sums if clusters is None else sums.grouped(clusters)
     resamples = bootstrap_conditions(units, draws=draws, rng=np.random.default_rng(seed))
+    p_value = bootstrap_p_value(resamples, "rho")
     n_both_valid, n_pairs = int(pooled.n), int(counts.sum())
     agreeing = int(np.trace(both_valid(counts).sum(axis=0)))
     per_condition = both_valid(counts).sum(axis=(-2, -1))
@@ -241,7 +245,8 @@ def summarise_table(
         tv_target_q=total_variation(pooled.q, target),
         tv_target_p=total_variation(pooled.p, target),
         intervals={name: resamples.interval(name, 0.95) for name in resamples.names},
-        p_value=bootstrap_p_value(resamples, "rho"),
+        p_value=p_value,
+        p_value_is_bound=p_value <= smallest_p_value(resamples, "rho"),
         equivalence=equivalence_test(resamples),
         occupancy=occupancy(run["rho"], run["capacity"], sums.n_modes),
         reason=_reason(run, n_both_valid),

@@ -71,12 +71,14 @@ class Interaction:
         spread: Largest minus smallest effect.
         p_value: Share of permutations with a spread at least as large, the observed one included.
         permutations: Number of permutations drawn.
+        smallest_p_value: Smallest p-value that these many levels and seeds allow, whatever the effects.
     """
 
     effects: tuple[float, ...]
     spread: float
     p_value: float
     permutations: int
+    smallest_p_value: float
 
 
 def interaction_test(
@@ -107,7 +109,22 @@ def interaction_test(
     spreads = np.ptp(shuffled.mean(axis=1), axis=1)
     # Sums in another order may differ in the last bit from the observed ones.
     as_large = int((spreads >= observed * (1 - 1e-12)).sum())
-    return Interaction(tuple(d.mean(axis=1).tolist()), observed, (1 + as_large) / (1 + permutations), permutations)
+    smallest = max(smallest_p_value(*d.shape) if blocked else 0.0, 1 / (1 + permutations))
+    p_value = (1 + as_large) / (1 + permutations)
+    return Interaction(tuple(d.mean(axis=1).tolist()), observed, p_value, permutations, smallest)
+
+
+def smallest_p_value(levels: int, seeds: int) -> float:
+    """Smallest p-value of a blocked interaction test.
+
+    The spread is the largest mean less the smallest. Of the relabellings of a seed's levels, one in L (L - 1) puts its
+    largest value and its smallest into two levels named beforehand, so that even with the same order in every seed a
+    share (L (L - 1))^(1 - S) of all relabellings has the observed spread.
+
+    >>> smallest_p_value(levels=2, seeds=5), smallest_p_value(levels=2, seeds=6)
+    (0.0625, 0.03125)
+    """
+    return float(levels * (levels - 1)) ** (1 - seeds)
 
 
 def benjamini_hochberg(p_values: ArrayLike) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ import pytest
 
 from dualhead_eval.paper.comparison import compare_with_paper
 from dualhead_eval.paper.sites import compare_sites
-from dualhead_eval.statistics.run import open_run, open_runs
+from dualhead_eval.statistics.run import open_run
 
 POLAR_NOISE = {"source_noise_beta": 0.0, "representation": {"kinematic_map": "ring/polar"}}
 
@@ -34,15 +34,3 @@ def test_a_run_without_a_row_is_not_compared(make_gate):
 
 def test_numbers_at_another_threshold_are_not_put_beside_the_papers(make_gate):
     assert compare_with_paper([open_run(make_gate("polar noise", 0.67, config=POLAR_NOISE), tau=0.4)]) == []
-
-
-def test_runs_and_the_papers_rows_are_compared_by_their_site(make_gate):
-    oracle = make_gate("oracle", 1.0, partition="bypass-v2", config={"token": "oracle"})
-    collapsed = make_gate("independent?", 1.0, partition="bypass-v2")
-    v3 = make_gate("v3 oracle", 1.0, partition="rotating-v3", config={"token": "oracle"})
-    sites = compare_sites(open_runs([oracle, collapsed, v3, make_gate("elsewhere", partition="none")]))
-    assert [(c.site, c.paper_site, c.derived) for c in sites] == [
-        ("IV", "IV", False),
-        ("IV", "I", False),
-        ("IV", "IV", True),
-    ]

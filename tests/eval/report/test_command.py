@@ -49,8 +49,9 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path):
 
 
 def test_a_folder_of_gates_is_reported_beside_the_paper(make_gate, report_command, tmp_path, capsys):
-    for label in ("b", "a"):
-        write_gate(make_gate(label, partition="bypass-v2"), tmp_path / f"{label}.gate.json")
+    for seed, label in enumerate(("b", "a")):
+        gate = make_gate(label, partition="bypass-v2", seed=seed, config={"seed": seed})
+        write_gate(gate, tmp_path / f"{label}.gate.json")
     assert report_command(tmp_path) == 0
     out = capsys.readouterr().out
     assert "v2/A independent" in out

@@ -69,6 +69,27 @@ def test_what_exists_at_the_reference_point_alone_says_so(make_gate):
     assert "hold at the reference point alone (tau 0.55, 20 steps)" in elsewhere.reference_only
 
 
+def test_no_two_runs_have_one_name(make_gate):
+    seeds = [make_gate("run", 0.5, seed=seed, config={"seed": seed}) for seed in range(2)]
+    assert [run.name for run in make_report(seeds).runs] == ["run #1", "run #2"]
+
+
+def test_environments_are_named_where_there_are_several(make_gate):
+    report = make_report([make_gate("A", partition="bypass-v2"), make_gate("A", partition="rotating-v3")])
+    assert [run.name for run in report.runs] == ["v2 A", "v3 A"]
+    assert [run.label for run in report.runs] == ["A", "A"]
+
+
+def test_head_pairs_are_named_where_there_are_several(make_gate):
+    report = make_report([make_gate("two"), make_gate("three", 0.5, heads=3)])
+    assert [pair.name for pair in report.pairs] == [
+        "two (joint-position)",
+        "three (joint-position)",
+        "three (joint-rotation)",
+        "three (position-rotation)",
+    ]
+
+
 def test_three_heads_make_three_pairs(make_gate):
     report = make_report([make_gate("pose", 0.5, heads=3)])
     assert [pair.heads for pair in report.pairs] == [
@@ -84,6 +105,19 @@ def test_p_values_are_adjusted_over_all_runs_of_a_report(make_gate):
     expected = benjamini_hochberg([pair.p_value for pair in pairs[:2]])
     assert [pair.adjusted_p_value for pair in pairs[:2]] == pytest.approx(expected)
     assert np.isnan(pairs[2].adjusted_p_value)
+
+
+def test_a_p_value_below_what_the_replicates_resolve_is_a_bound(make_gate):
+    independent, coupled = make_report([make_gate("a", 0.0), make_gate("b", 0.5)]).pairs
+    assert (independent.p_value_is_bound, coupled.p_value_is_bound) == (False, True)
+
+
+def test_contradictions_are_those_of_the_rows_that_the_runs_touch(make_gate):
+    token = make_gate("H", 1.0, partition="bypass-v2", config={"token": "episode"})
+    assert {row for row, _ in make_report([token]).contradictions} == {"v2/H episode token uniform"}
+    skewed = make_gate("E", 1.0, prior=[0.92, 0.08], config={"latent": "posterior", "kl_weight": 0.01})
+    skewed = replace(skewed, target_probabilities=np.array([0.92, 0.08]))
+    assert {row for row, _ in make_report([skewed]).contradictions} == {"testbed skew/posterior kl0.01/p0.92"}
 
 
 def test_undefined_numbers_are_null_in_json(make_gate):

@@ -66,6 +66,17 @@ def test_a_label_is_text_wherever_it_is_shown(label, make_gate, printed):
     assert "\x1b" not in html
 
 
+def test_a_loss_stands_in_every_table_that_prints_a_rho(report):
+    for table in report_tables(report) + paper_tables(report):
+        names = {column.name.partition(" ")[0] for column in table.columns}
+        assert ("\N{GREEK SMALL LETTER RHO}" in names) <= ("loss" in names), table.title
+
+
+def test_a_p_value_at_the_resampling_floor_is_a_bound(make_gate):
+    (row,) = effects_table(make_report([make_gate("coupled", 0.5)])).rows
+    assert "<= 0.001" in row
+
+
 def test_families_need_two_seeds_of_one_setting(make_gate):
     assert families_table(make_report([make_gate("alone", 0.6)])) is None
 

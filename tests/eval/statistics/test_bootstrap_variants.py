@@ -1,6 +1,7 @@
 """Other intervals and tests, against independent implementations and known cases."""
 
 from dataclasses import replace
+from itertools import permutations, product
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from dualhead_eval.statistics.seeds import (
     seed_bootstrap_interval,
     seed_equivalence,
     seed_t_interval,
+    smallest_p_value,
 )
 
 
@@ -116,6 +118,19 @@ def test_the_interaction_test_sees_a_map_that_reverses_the_effect():
     assert result.spread == pytest.approx(0.901, abs=0.02)
     with pytest.raises(ValueError, match="levels"):
         interaction_test([[0.1, 0.2]], rng=rng)
+
+
+@pytest.mark.parametrize(("levels", "seeds"), [(2, 3), (2, 5), (3, 2), (3, 3), (4, 2)])
+def test_the_smallest_p_value_is_that_of_seeds_in_one_order(levels, seeds):
+    """Every relabelling, counted: no effects give a smaller share than those with one order in every seed."""
+    ordered = np.arange(levels)[:, None] ** 2 + np.zeros(seeds)
+    orders = list(permutations(range(levels)))
+    spreads = [np.ptp(sum(np.array(o) ** 2 for o in choice)) for choice in product(orders, repeat=seeds)]
+    share = np.mean(np.isclose(spreads, np.ptp(ordered.sum(axis=1))))
+    assert smallest_p_value(levels, seeds) == pytest.approx(share)
+    test = interaction_test(ordered, permutations=4000, rng=np.random.default_rng(0))
+    assert test.smallest_p_value == pytest.approx(share, rel=0.01)
+    assert test.p_value == pytest.approx(share, rel=0.35, abs=0.01)
 
 
 @pytest.mark.parametrize("blocked", [True, False])

@@ -29,8 +29,7 @@ def heatmap_figure(report: Report) -> Figure:
     ]
     residuals = [
         np.nan if run.residual_mm is None or pair is not run.first else run.residual_mm
-        for run in report.runs
-        for pair in run.pairs
+        for run, pair in report.run_pairs
     ]
     if np.isfinite(residuals).any():
         columns.append(("residual (mm)", residuals, ".1f", "Oranges"))
