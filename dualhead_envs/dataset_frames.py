@@ -7,16 +7,17 @@ and evaluating need whole columns. Nothing here imports LeRobot.
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+
+from dualhead_envs.dataset_columns import INFO, data_files, read_columns, read_info
+from dualhead_envs.dataset_sidecar import read_sidecar
+from dualhead_envs.validated_json import shown
 
 OBSERVATION_KEYS = ("observation.state", "observation.environment_state")
 LABEL_KEYS = ("mode", "pair", "branch_step")
@@ -106,42 +107,6 @@ class SplitFrames:
         return digest.hexdigest()
 
 
-def read_columns(root: Path, info: dict[str, Any], wanted: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of a LeRobotDataset v3.0 as arrays (F,) or (F, width), in order of the global index.
-
-    Args:
-        root: The dataset's folder.
-        info: Its ``meta/info.json``.
-        wanted: Feature keys.
-
-    Raises:
-        FileNotFoundError: If the folder holds no data.
-        ValueError: If a row has another width than the feature declares.
-    """
-    files = data_files(root)
-    if not files:
-        raise FileNotFoundError(f"{root} holds no Parquet data: expected data/chunk-*/file-*.parquet")
-    keys = [*wanted, *({"index"} - set(wanted))]
-    columns: dict[str, list[np.ndarray]] = {key: [] for key in keys}
-    for path in files:
-        try:
-            table = pq.read_table(path, columns=keys)
-        except pa.ArrowInvalid as error:
-            raise ValueError(
-                f"{path} is not a readable Parquet file: it may be truncated; record the dataset again"
-            ) from error
-        for key in keys:
-            columns[key].append(_column(table.column(key), info["features"][key]["shape"], root, key))
-    stacked = {key: np.concatenate(parts) for key, parts in columns.items()}
-    order = np.argsort(stacked["index"], kind="stable")
-    return {key: stacked[key][order] for key in wanted}
-
-
-def data_files(root: Path) -> list[Path]:
-    """The Parquet data files of a LeRobotDataset v3.0 folder, in order."""
-    return sorted((root / "data").glob("chunk-*/file-*.parquet"))
-
-
 def read_split(root: str | Path) -> SplitFrames:
     """Read the demonstrations of one split.
 
@@ -153,14 +118,8 @@ def read_split(root: str | Path) -> SplitFrames:
         ValueError: If a feature is missing, or an action or observation is not finite.
     """
     root = Path(root)
-    info_path = root / "meta" / "info.json"
-    if not info_path.is_file():
-        splits = [s for s in ("train", "val", "test") if (root / s / "meta" / "info.json").is_file()]
-        hint = f"name one of its splits, for example {root / splits[0]}" if splits else "record one first"
-        raise FileNotFoundError(f"{root} is not a LeRobotDataset (no meta/info.json): {hint}")
-    info = json.loads(info_path.read_text())
-    sidecar_path = root / "meta" / "dualhead.json"
-    sidecar = json.loads(sidecar_path.read_text()) if sidecar_path.is_file() else {}
+    info = read_info(root)
+    sidecar = read_sidecar(root)
     wanted = ["action", "episode_index", "frame_index"]
     wanted += [key for key in (*OBSERVATION_KEYS, *LABEL_KEYS) if key in info["features"]]
     missing = [key for key in wanted[:3] if key not in info["features"]]
@@ -169,34 +128,57 @@ def read_split(root: str | Path) -> SplitFrames:
             f"{root} lacks the features {missing or list(OBSERVATION_KEYS)}: "
             "expected a dataset written by `dualhead record`"
         )
-    stacked = read_columns(root, info, wanted)
-    for key in ("action", *OBSERVATION_KEYS):
-        if key in stacked and not np.isfinite(stacked[key]).all():
-            bad = int(np.flatnonzero(~np.isfinite(stacked[key]).all(axis=1))[0])
-            raise ValueError(
-                f"{root} holds a non-finite value in {key!r} at frame {bad}: expected finite numbers; "
-                "record the dataset again or drop that episode"
-            )
+    names = info["features"]["action"].get("names")
+    if not isinstance(names, list) or [len(names)] != info["features"]["action"]["shape"]:
+        raise ValueError(
+            f"{root / INFO} names the dimensions of the action {shown(names)}, expected a list of "
+            f"{info['features']['action']['shape']}: record the dataset again"
+        )
+    columns = read_columns(root, info, wanted)
+    check_frames(root, columns, info["total_episodes"], sidecar.get("partition", {}).get("n_modes"))
     return SplitFrames(
         root=root,
         info=info,
         sidecar=sidecar,
-        observation={key: stacked[key] for key in OBSERVATION_KEYS if key in stacked},
-        action=stacked["action"],
-        episode_index=stacked["episode_index"],
-        frame_index=stacked["frame_index"],
-        labels={key: stacked[key] for key in LABEL_KEYS if key in stacked},
+        observation={key: columns[key] for key in OBSERVATION_KEYS if key in columns},
+        action=columns["action"],
+        episode_index=columns["episode_index"],
+        frame_index=columns["frame_index"],
+        labels={key: columns[key] for key in LABEL_KEYS if key in columns},
     )
 
 
-def _column(column: Any, shape: list[int], root: Path, key: str) -> np.ndarray:
-    values = column.combine_chunks()
-    if hasattr(values, "flatten") and values.type.num_fields:
-        flat = values.flatten().to_numpy(zero_copy_only=False)
-        if len(flat) != len(values) * shape[0]:
+def check_frames(root: Path, columns: Mapping[str, np.ndarray], episodes: int, n_modes: int | None) -> None:
+    """Refuse frames whose numbers are not finite, or whose episodes, modes or branch points contradict each other.
+
+    Args:
+        root: The dataset's folder, for errors.
+        columns: Columns by feature key, in order of the global index.
+        episodes: Number of episodes that the dataset declares.
+        n_modes: Number of modes, or None if the dataset does not say.
+
+    Raises:
+        ValueError: In one sentence about the first contradiction.
+    """
+    for key in ("action", *OBSERVATION_KEYS):
+        if key in columns and not np.isfinite(columns[key]).all():
+            bad = int(np.flatnonzero(~np.isfinite(columns[key]).all(axis=1))[0])
             raise ValueError(
-                f"{root} holds rows of another width than {shape[0]} in {key!r}: the dataset is damaged; "
-                "record it again"
+                f"{root} holds a non-finite value in {key!r} at frame {bad}: expected finite numbers; "
+                "record the dataset again or drop that episode"
             )
-        return flat.reshape(-1, shape[0])
-    return values.to_numpy(zero_copy_only=False)
+    episode, frame = columns["episode_index"], columns["frame_index"]
+    begins = np.diff(episode, prepend=-1)
+    lengths = np.bincount(np.clip(episode, 0, None), minlength=1)
+    within = np.arange(len(episode)) - np.maximum.accumulate(np.where(begins == 1, np.arange(len(episode)), 0))
+    if not np.isin(begins, (0, 1)).all() or episode[-1] != episodes - 1 or (frame != within).any():
+        raise ValueError(
+            f"{root} does not hold {episodes} episodes one after the other, each from frame 0: record the dataset again"
+        )
+    limits = {"mode": (-1, n_modes), "pair": (0, None), "branch_step": (-1, lengths[episode])}
+    for key, (low, high) in limits.items():
+        if key in columns and ((columns[key] < low).any() or (high is not None and (columns[key] >= high).any())):
+            raise ValueError(
+                f"{root} holds {key} from {columns[key].min()} to {columns[key].max()}, expected from {low} to below "
+                f"{'the length of the episode' if key == 'branch_step' else high}: record the dataset again"
+            )

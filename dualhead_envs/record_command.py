@@ -117,6 +117,7 @@ def _print_summary(root: Path, seconds: float) -> None:
     from rich.console import Console
 
     from dualhead_envs.recording.card_table import render_card
+    from dualhead_envs.recording.geometry_card import read_geometry_card
 
     console = Console()
     console.print(f"Recorded {root} in {seconds:.1f} s", highlight=False, soft_wrap=True)
@@ -126,4 +127,4 @@ def _print_summary(root: Path, seconds: float) -> None:
             f"  {split:5} {info['total_episodes']:7,} episodes {info['total_frames']:9,} frames",
             highlight=False,
         )
-    console.print(render_card(json.loads((root / "card.json").read_text()), title="Geometry card (card.json)"))
+    console.print(render_card(read_geometry_card(root / "card.json"), title="Geometry card (card.json)"))

@@ -193,7 +193,7 @@ def _write_files(folder: Path, table: pa.Table, lengths: np.ndarray, index_colum
                 part = part.append_column(f"{index_columns}/{name}", pa.array(np.full(len(part), value)))
         path = folder / _PATH.format(chunk_index=chunk, file_index=file)
         path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(part, path, compression="snappy", use_dictionary=False)
+        pq.write_table(part, path, compression="snappy", use_dictionary=False, write_page_checksum=True)
     return numbers
 
 

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
+
+from dualhead_envs.recording.geometry_card import GeometryCard, Quantity
 
 
-def render_card(card: Mapping[str, Any], title: str = "Geometry card") -> Table:
-    """The measured quantities beside the paper's, with what each means.
-
-    Raises:
-        ValueError: If the card holds no measured quantities.
-    """
-    measured = card.get("measured")
-    if not isinstance(measured, Mapping):
-        raise ValueError(
-            f"the card has the fields {sorted(card)}, expected 'measured' among them: record the dataset again"
-        )
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+def render_card(card: GeometryCard, title: str = "Geometry card") -> Table:
+    """The measured quantities beside the paper's, with what each means."""
+    table = Table(title=Text(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("quantity", no_wrap=True)
     table.add_column("measured", justify="right", no_wrap=True)
     table.add_column("paper", justify="right", no_wrap=True)
     table.add_column("meaning")
-    for name, value in measured.items():
-        printed = card.get("paper", {}).get(name)
-        table.add_row(name, _number(value), _number(printed), str(card.get("meanings", {}).get(name, "")))
+    for name, value in card.measured.items():
+        printed = card.paper.get(name)
+        # Text is never markup: names and meanings come from a file.
+        table.add_row(Text(name), _number(value), _number(printed), Text(card.meanings.get(name, "")))
     return table
 
 
-def _number(value: Any) -> str:
+def _number(value: Quantity) -> str:
     if value is None:
         return "-"
     if isinstance(value, int):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from dualhead_envs.recording.geometry_card import GeometryCard, read_geometry_card
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, ClosedLoop, read_closed_loop
 from dualhead_eval.gate.file import read_gate
 from dualhead_eval.gate.gate import Gate
@@ -28,7 +27,7 @@ class ReportInputs:
     """
 
     gates: list[Gate] = field(default_factory=list)
-    cards: dict[Path, dict[str, Any]] = field(default_factory=dict)
+    cards: dict[Path, GeometryCard] = field(default_factory=dict)
     loops: list[tuple[str, ClosedLoop]] = field(default_factory=list)
     from_folder: bool = False
 
@@ -49,7 +48,7 @@ def read_inputs(paths: Iterable[Path]) -> ReportInputs:
         if not path.is_dir():
             _read_file(path, inputs)
         elif (path / "card.json").is_file():
-            inputs.cards[path] = _read_card(path / "card.json")
+            inputs.cards[path] = read_geometry_card(path / "card.json")
         elif (path / "meta" / "dualhead.json").is_file():
             inputs.loops.append(read_closed_loop(path))
         else:
@@ -70,13 +69,3 @@ def _read_file(path: Path, inputs: ReportInputs) -> None:
         inputs.loops.append(read_closed_loop(path))
     else:
         inputs.gates.append(read_gate(path))
-
-
-def _read_card(path: Path) -> dict[str, Any]:
-    try:
-        card = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not complete JSON ({error}): record the dataset again") from error
-    if not isinstance(card, dict):
-        raise ValueError(f"{path} holds a {type(card).__name__}, expected a JSON object: record the dataset again")
-    return card

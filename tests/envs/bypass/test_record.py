@@ -16,6 +16,7 @@ import pytest
 
 from dualhead_envs.bypass.record import record_bypass, split_sizes
 from dualhead_envs.recording.card_table import render_card
+from dualhead_envs.recording.geometry_card import GeometryCard
 from dualhead_envs.recording.shards import ShardStore
 
 PAIRS = 4
@@ -111,7 +112,11 @@ def test_the_card_says_what_was_measured_beside_the_paper(recording):
     assert 140 < measured["mode_gap_mean_mm"] < 190
     assert measured["clearance_min_mm"] > 20
     assert card["paper"]["mode_gap_mean_mm"] == 162.43
-    assert list(render_card(card).columns[0].cells) == list(measured) == list(card["meanings"])
+    assert (
+        [str(cell) for cell in render_card(GeometryCard(**card)).columns[0].cells]
+        == list(measured)
+        == list(card["meanings"])
+    )
 
 
 def test_the_card_counts_the_demonstrations_that_the_partition_calls_valid(recording):
