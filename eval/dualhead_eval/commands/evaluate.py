@@ -26,6 +26,7 @@ SERVES = {
     "episodes": ("record",),
     "samples": ("record",),
     "control": ("record",),
+    "perturb": ("record",),
     "token": ("exact",),
     "token_replacement_prob": ("exact",),
 }
@@ -76,6 +77,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--control",
         choices=["joint", "position", "pose"],
         help="the head that drives; pose: position and orientation, for a policy with a rotation head (default: joint)",
+    )
+    loop.add_argument(
+        "--perturb",
+        metavar="KIND:SEVERITY",
+        help="perturb the robot environment, e.g. joint_bias:0.06; joint_bias@2 is the second of its four levels",
     )
     shared = parser.add_argument_group("what the heads share (default: as the policy was trained)")
     shared.add_argument("--source-noise-beta", type=float, metavar="B", help="1 private noise, 0 shared noise")
@@ -189,6 +195,10 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
     from dualhead_policy.training.provenance import policy_provenance
 
     env_id, env_kwargs = recorded_environment(read_split(args.dataset))
+    if args.perturb is not None and "Bypass" not in env_id:
+        raise ValueError(
+            f"--perturb has no meaning in {env_id}: leave it out, only the robot environments are perturbed"
+        )
     policy, preprocess = load_policy(args.policy)
     episodes = EPISODES if args.episodes is None else args.episodes
     with tqdm(total=episodes, unit="episode", desc="rolling out") as bar:
@@ -197,7 +207,7 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
             preprocess,
             args.record,
             env_id=env_id,
-            env_kwargs={**env_kwargs, "control": args.control or "joint"},
+            env_kwargs={**env_kwargs, "control": args.control or "joint", **_given(args, perturbation="perturb")},
             episodes=episodes,
             **_given(args, samples="samples", seed="seed"),
             provenance=policy_provenance(policy, policy_folder(args.policy)),

@@ -226,4 +226,6 @@ def _roll_out(env: CertificateWrapper, decisions: _Decisions, dataset: Any, exec
         "success": bool(info["is_success"]),
         "collision": bool(info["collision"]),
         "mode": int(info["mode"]),
+        # Robot environments say why an episode failed, and when its perturbation began.
+        **{key: info[key] for key in ("failure", "onset") if key in info},
     }

@@ -76,7 +76,7 @@ def test_two_processes_do_not_record_into_one_folder(trained, ring_data, tmp_pat
 def test_a_pose_is_executed_where_the_policy_has_an_orientation_head(panda_data, trained, ring_data, tmp_path, capsys):
     meta = LeRobotDatasetMetadata("local/panda", root=panda_data / "train")
     arguments = ["--output", str(tmp_path / "gate.json"), "--record", str(tmp_path / "rollouts"), "--control", "pose"]
-    arguments += ["--episodes", "1", "--dataset", str(panda_data / "test")]
+    arguments += ["--episodes", "1", "--perturb", "noise:0.01", "--dataset", str(panda_data / "test")]
     for rotation_head, status in ((False, 2), (True, 0)):
         config = DualheadConfig(rotation_head=rotation_head, **SMALL)
         folder = tmp_path / f"policy-{rotation_head}"
@@ -87,8 +87,27 @@ def test_a_pose_is_executed_where_the_policy_has_an_orientation_head(panda_data,
         assert main(["evaluate", "--policy", str(folder), *arguments]) == status
     assert "executes the orientation head, which this policy lacks" in capsys.readouterr().err
     assert read_closed_loop(tmp_path / "rollouts")[1].control == "pose"
-    assert main(["evaluate", "--policy", str(trained), *arguments[:-1], str(ring_data / "test"), "--overwrite"]) == 2
+    kept = json.loads((tmp_path / "rollouts" / "meta" / "dualhead.json").read_text())
+    assert kept["env_kwargs"]["perturbation"] == "noise:0.01"
+    assert kept["outcomes"][0]["failure"] in ("collision", "drop", "miss", "timeout")
+    assert kept["outcomes"][0]["onset"] == 0
+    unperturbed = [argument for argument in arguments if argument not in ("--perturb", "noise:0.01")]
+    assert main(["evaluate", "--policy", str(trained), *unperturbed[:-1], str(ring_data / "test"), "--overwrite"]) == 2
     assert "lacks" in capsys.readouterr().err
+
+
+def test_only_the_robot_is_perturbed(trained, ring_data, tmp_path, capsys):
+    arguments = [
+        "--output",
+        str(tmp_path / "gate.json"),
+        "--record",
+        str(tmp_path / "rollouts"),
+        "--perturb",
+        "noise:0.01",
+    ]
+    assert main(["evaluate", "--policy", str(trained), "--dataset", str(ring_data / "test"), *arguments]) == 2
+    assert "only the robot environments are perturbed" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_no_outcome_is_refused(tmp_path, capsys):
