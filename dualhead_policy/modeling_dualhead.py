@@ -24,10 +24,10 @@ from dualhead_policy.fitting.tokens import new_tokens
 from dualhead_policy.flow.coupling import SharedDraws
 from dualhead_policy.flow.diagnostics import latent_sensitivity, teacher_forced_residuals
 from dualhead_policy.flow.draws import draw_step
+from dualhead_policy.flow.episode_draws import EpisodeDraws
 from dualhead_policy.flow.loss import training_loss
 from dualhead_policy.flow.solver import condition_velocity, numpy_field, sample_chunks
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
-from dualhead_policy.kinematics.rotation6d import columns_from_matrix
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.model_card import model_card
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
@@ -294,9 +294,7 @@ class DualheadPolicy(PreTrainedPolicy):
     def reset(self) -> None:
         """Forget the queued actions and what the episode shares (called at every environment reset)."""
         self._queue: deque[Tensor] = deque()
-        self._episode_token: Tensor | None = None
-        self._episode_latent: Tensor | None = None
-        self._episode_rotation: Tensor | None = None
+        self._held = EpisodeDraws()
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: Mapping[str, Tensor], **given: Any) -> Tensor:
@@ -309,13 +307,7 @@ class DualheadPolicy(PreTrainedPolicy):
             ValueError: If given one source noise, where the heads have one each.
         """
         _refuse_keywords("predict_action_chunk", given)
-        n = len(self._observation(batch))
-        if self._episode_token is None or len(self._episode_token) != n or self.config.token == "window":
-            self._episode_token = self.draw_tokens(batch, 1)
-        latent = self.model.shared_latent
-        if latent is not None and (self._episode_latent is None or len(self._episode_latent) != n):
-            self._episode_latent = latent.draw((n, 1), None)
-        coupling = SamplingCoupling(token=self._episode_token, latent=self._episode_latent)
+        coupling = self._held.coupling(self.model, self._observation(batch))
         return self.dual_chunk(self.sample(batch, 1, coupling=coupling))
 
     def dual_chunk(self, samples: HeadSamples) -> Tensor:
@@ -326,16 +318,11 @@ class DualheadPolicy(PreTrainedPolicy):
         """
         groups = [samples.joint[:, 0], samples.position[:, 0]]
         if self.representation.rotation:
-            groups.append(self._held_rotation(samples) if samples.rotation is None else samples.rotation[:, 0])
+            held = self._held.orientation(self.model, samples) if samples.rotation is None else samples.rotation[:, 0]
+            groups.append(held)
         if samples.gripper is not None:
             groups.append(samples.gripper[..., None])
         return torch.cat(groups, dim=-1)
-
-    def _held_rotation(self, samples: HeadSamples) -> Tensor:
-        first = samples.joint[:, 0, 0]
-        if self._episode_rotation is None or len(self._episode_rotation) != len(first):
-            self._episode_rotation = columns_from_matrix(self.model.kinematics.rotation(first))
-        return self._episode_rotation[:, None].expand(-1, self.config.chunk_size, -1)
 
     @torch.no_grad()
     def select_action(self, batch: Mapping[str, Tensor], **given: Any) -> Tensor:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from dualhead_policy.flow.coupling import SharedDraws, resolve_shared_draws, resolve_source_noise
-from dualhead_policy.flow.flow_matching import integrate_within
+from dualhead_policy.flow.folded_field import FoldedField
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix, matrix_from_columns
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 
 #: Rows integrated together: small enough for the activations to stay in cache.
 SAMPLING_ROWS = 2048
+#: Rows from which a context is integrated alone, its modulation broadcast instead of gathered row by row.
+ROWS_OF_ONE_CONTEXT = 128
+#: Contexts times steps whose modulation is held at once.
+FOLDED_CONTEXTS = 8192
 
 
 def sample_chunks(
@@ -35,18 +39,13 @@ def sample_chunks(
     shape = (*leading, model.config.chunk_size)
     source = resolve_source_noise(coupling, shape, model.head_dims, model.config.source_noise_beta, generator)
     shared = _shared_draws(model, embedding, num_samples, coupling, generator)
-    per_chunk = max(1, SAMPLING_ROWS // num_samples)
     heads: dict[str, Tensor] = {}
     diverged = torch.zeros(leading, dtype=torch.bool, device=observation.device)
     for head in model.head_slices:
         noise = source[head].to(observation.device).flatten(2)
-        pieces = []
-        for start in range(0, len(observation), per_chunk):
-            rows = slice(start, start + per_chunk)
-            piece, held = _integrate(model, head, noise[rows], embedding[rows], shared[head], rows, num_steps)
-            pieces.append(piece)
-            diverged[rows] |= held
-        heads[head] = model.physical_chunk(head, torch.cat(pieces), observation)
+        clean, held = _clean_chunks(model, head, noise, embedding, shared[head], num_steps)
+        diverged |= held
+        heads[head] = model.physical_chunk(head, clean, observation)
     rotation = heads.get("rotation")
     return HeadSamples(
         heads["joint"],
@@ -88,43 +87,75 @@ def _shared_draws(
     }
 
 
-def _integrate(
-    model: DualheadModel,
-    head: str,
-    noise: Tensor,
-    embedding: Tensor,
-    shared: SharedDraws,
-    rows: slice,
-    num_steps: int,
+def _clean_chunks(
+    model: DualheadModel, head: str, noise: Tensor, embedding: Tensor, shared: SharedDraws, num_steps: int
 ) -> tuple[Tensor, Tensor]:
-    """Integrate noise (B, N, H * d) of some rows; embedding (B, ...) is theirs, ``shared`` is of all rows.
-
-    Returns clean chunks (B, N, H * d) in the head's frame, and which of them had to be held to its range (B, N).
-    """
-    if model.frames:
-        noise = model.frame(head).rotate(noise)
-    token = None
-    if shared.token is not None:
+    """Clean chunks (B, N, H * d) in a head's frame for its source noise, and which were held to its range (B, N)."""
+    per_condition = noise.shape[1]
+    source = noise.flatten(0, 1)
+    if head in model.frames:
+        source = model.frame(head).rotate(source)
+    condition = torch.arange(len(noise), device=noise.device).repeat_interleave(per_condition)
+    if shared.latent is not None:
+        # Every chunk has a context of its own.
+        context, index = model.context(embedding, latent=shared.latent).flatten(0, 1), None
+    elif shared.token is not None:
         assert model.tokens is not None
-        # The conditioning is computed once per condition and token, not once per sample.
         every = torch.arange(model.tokens.n_tokens, device=noise.device)
-        context = model.context(embedding, token=every.expand(len(noise), -1))
-        token = shared.token[rows]
-    elif shared.latent is not None:
-        context = model.context(embedding, latent=shared.latent[rows])
+        context = model.context(embedding, token=every.expand(len(noise), -1)).flatten(0, 1)
+        index = condition * len(every) + shared.token.flatten()
     else:
-        context = model.context(embedding)[:, None]
-    index = torch.arange(len(noise), device=noise.device)[:, None]
-    spread = model.spread(head)
+        context, index = model.context(embedding), condition
+    clean = torch.empty_like(source)
+    held = torch.empty(len(source), dtype=torch.bool, device=source.device)
+    for rows, used, local in _pieces(index, len(source), len(context)):
+        clean[rows], held[rows] = _integrate(model, head, source[rows], context[used], local, num_steps)
+    return clean.unflatten(0, noise.shape[:2]), held.unflatten(0, noise.shape[:2])
 
-    def velocity(x: Tensor, time: float) -> Tensor:
-        now = torch.tensor(time, device=x.device)
-        modulation = model.network.modulation(head, now, context)
-        if token is not None:
-            modulation = [part[index, token] for part in modulation]
-        return model.network.velocity(head, x, now, modulation, spread)
 
-    return integrate_within(velocity, noise, num_steps, *model.endpoint_range(head).bounds())
+def _pieces(
+    index: Tensor | None, n_rows: int, n_contexts: int
+) -> Iterator[tuple[Tensor | slice, slice, Tensor | None]]:
+    """Rows that are integrated together, the contexts that they use, and which of these each follows.
+
+    Where a context has many rows they share its modulation; where it has few, rows of several contexts go together.
+    """
+    if index is None or n_contexts == 1:
+        for start in range(0, n_rows, SAMPLING_ROWS):
+            rows = slice(start, start + SAMPLING_ROWS)
+            yield rows, rows if index is None else slice(None), None
+        return
+    order = index.argsort(stable=True)
+    if n_rows >= ROWS_OF_ONE_CONTEXT * n_contexts:
+        start = 0
+        for context, count in enumerate(torch.bincount(index, minlength=n_contexts).tolist()):
+            for piece in order[start : start + count].split(SAMPLING_ROWS):
+                yield piece, slice(context, context + 1), None
+            start += count
+        return
+    for piece in order.split(SAMPLING_ROWS):
+        followed = index[piece]
+        first, last = int(followed[0]), int(followed[-1])
+        yield piece, slice(first, last + 1), None if first == last else followed - first
+
+
+def _integrate(
+    model: DualheadModel, head: str, source: Tensor, context: Tensor, index: Tensor | None, num_steps: int
+) -> tuple[Tensor, Tensor]:
+    """As :func:`integrate_within` does with the model's velocity; rows (R, H * d), contexts (C, E), index (R,)."""
+    low, high = model.endpoint_range(head).bounds()
+    x, ends, kept = source, [], []
+    times = torch.arange(num_steps, dtype=source.dtype, device=source.device) / num_steps
+    for block in times.split(max(1, FOLDED_CONTEXTS // len(context))):
+        field = FoldedField(model, head, block, context)
+        for step in range(len(block)):
+            endpoint = field.endpoint(step, x, index)
+            inside = endpoint.clamp(low, high)
+            x = torch.lerp(x, inside, 1 / (num_steps - len(ends)))
+            ends.append(endpoint)
+            kept.append(inside)
+    held = torch.stack(ends).ne(torch.stack(kept)).any(dim=0).any(dim=-1)
+    return x, held
 
 
 def numpy_field(field: Callable[[Tensor, float], Tensor], like: Tensor) -> Callable[[np.ndarray, float], np.ndarray]:

@@ -73,9 +73,10 @@ class DualheadNetwork(nn.Module):
 
     def modulation(self, head: str, time: Tensor, context: Tensor) -> Modulation:
         """What ``head``'s layers need to know of time and context; see :class:`VelocityField`."""
-        return self._field(head).modulation(time, context)
+        return self.field(head).modulation(time, context)
 
-    def _field(self, head: str) -> VelocityField:
+    def field(self, head: str) -> VelocityField:
+        """The velocity field of ``head``."""
         field = self.fields[head]
         assert isinstance(field, VelocityField)
         return field
@@ -90,7 +91,7 @@ class DualheadNetwork(nn.Module):
             modulation: :meth:`modulation`, broadcastable against ``x``.
             spread: Scale of the normalised data per coordinate (H * d,).
         """
-        field = self._field(head)
+        field = self.field(head)
         if not self.preconditioned:
             return field(x, modulation)
         skip, scale_out, scale_in = gaussian_preconditioning(time, spread)

@@ -120,11 +120,11 @@ def test_the_token_of_an_episode_is_held_until_reset(policy_and_batch):
     row = {key: batch[key][:4] for key in policy.observation_keys}
     policy.reset()
     policy.predict_action_chunk(row)
-    held = policy._episode_token
+    held = policy._held.token
     policy.predict_action_chunk(row)
-    assert policy._episode_token is held
+    assert policy._held.token is held
     policy.reset()
-    assert policy._episode_token is None
+    assert policy._held.token is None
 
 
 def test_a_loaded_policy_equals_the_saved_one(policy_and_batch, tmp_path):

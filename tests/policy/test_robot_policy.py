@@ -195,11 +195,11 @@ def test_without_a_rotation_head_the_start_orientation_is_held_until_reset(build
 def test_a_latent_is_drawn_once_an_episode_and_shared_by_the_heads(build, batch):
     policy = build(latent="prior").eval()
     policy.predict_action_chunk(batch)
-    held = policy._episode_latent
+    held = policy._held.latent
     policy.predict_action_chunk(batch)
-    assert policy._episode_latent is held
+    assert policy._held.latent is held
     policy.reset()
-    assert policy._episode_latent is None
+    assert policy._held.latent is None
     one = policy.sample(batch, 2, generator=keyed_generator(3))
     noise = {"joint": torch.randn(8, 2, 16, 7), "position": torch.randn(8, 2, 16, 3)}
     given = [
@@ -232,9 +232,9 @@ def test_window_tokens_are_drawn_at_every_decision_and_episode_tokens_once(build
     for fields, held in (({"token": "episode", "token_draw": "learned"}, True), ({"token": "window"}, False)):
         policy = build(**fields).eval()
         policy.predict_action_chunk(batch)
-        first = policy._episode_token
+        first = policy._held.token
         policy.predict_action_chunk(batch)
-        assert (policy._episode_token is first) == held
+        assert (policy._held.token is first) == held
 
 
 def test_episode_tokens_are_the_modes_and_the_nmi_is_in_the_configuration(build, panda_data):
