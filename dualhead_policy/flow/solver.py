@@ -144,7 +144,9 @@ def _integrate(
 ) -> tuple[Tensor, Tensor]:
     """As :func:`integrate_within` does with the model's velocity; rows (R, H * d), contexts (C, E), index (R,)."""
     low, high = model.endpoint_range(head).bounds()
-    x, ends, kept = source, [], []
+    x = source
+    ends: list[Tensor] = []
+    kept: list[Tensor] = []
     times = torch.arange(num_steps, dtype=source.dtype, device=source.device) / num_steps
     for block in times.split(max(1, FOLDED_CONTEXTS // len(context))):
         field = FoldedField(model, head, block, context)
