@@ -68,6 +68,13 @@ class Outcome(Schema):
     success: bool
     collision: bool
     mode: Annotated[int, Field(ge=-1, le=1000)]
+    #: Frames in the dataset; with none the episode is not in it. None in recordings that did not count them.
+    frames: Count | None = None
+    #: Why a decision was refused, which ended the episode; None if it ran to its end.
+    refused: Annotated[str, Field(min_length=1, max_length=2000)] | None = None
+    #: How an episode of a robot environment failed, and the step at which its perturbation began (-1: none).
+    failure: Label | None = None
+    onset: Annotated[int, Field(ge=-1, le=2**31)] | None = None
 
 
 class RolloutSidecar(Schema):
@@ -79,6 +86,8 @@ class RolloutSidecar(Schema):
     env_kwargs: dict[Label, Any]
     horizon: Annotated[int, Field(ge=1, le=10_000)]
     samples: Positive
+    #: Pairs of a decision that follow the token or latent of the episode; None in recordings that did not say so.
+    held_pairs: Count | None = None
     num_inference_steps: Positive
     seed: Count
     partition: PartitionDescription

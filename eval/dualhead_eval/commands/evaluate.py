@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "predictions of every decision",
     )
     loop.add_argument("--episodes", type=int, help="episodes to roll out (default: 50)")
-    loop.add_argument("--samples", type=int, help="chunks per head and decision (default: 2)")
+    loop.add_argument("--samples", type=int, help="pairs of chunks per decision (default: 2)")
     loop.add_argument(
         "--control",
         choices=["joint", "position", "pose"],
@@ -213,6 +213,8 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
             provenance=policy_provenance(policy, policy_folder(args.policy)),
             progress=bar.update,
         )
+    for refusal in loop.refusals:
+        print(refusal)
     print(f"closed loop, {loop}; recorded in {args.record}\nruntime certificate after these episodes: {verdict}")
     args.rollouts = args.record
     return _rollouts(args)

@@ -7,7 +7,8 @@ Beside the frames as executed (observations, dual action, reward), a rollout dat
 - ``prediction.decision`` (1,): whether the policy decided in this frame;
 - ``certificate.*`` (1,): residual, verdict (its index), effect and capacity of the runtime certificate, which runs
   beside the robot over all episodes;
-- ``meta/dualhead.json``: environment, horizon and n, and what became of every episode.
+- ``meta/dualhead.json``: environment, horizon and n, how many pairs of a decision follow what the episode holds, and
+  what became of every episode: its seed, frames, outcome, and why a decision was refused (no frame: not in the data).
 
 The keys do not begin with ``action``, which LeRobot would take for an action. How the predictions are counted is
 said in :mod:`dualhead_eval.evaluation.rollouts`.
@@ -22,16 +23,18 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 
 from dualhead_envs.recording.staging import publish, staging_folder
 from dualhead_eval.certificate.wrapper import CERTIFICATE_FEATURES, CertificateWrapper, certificate_columns
+from dualhead_eval.evaluation.decisions import OBSERVATIONS, Decisions, held_pairs
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_FORMAT, ClosedLoop, closed_loop_of
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.representation import RepresentationLayout
-from dualhead_policy.sampling import SamplingCoupling
 
-OBSERVATIONS = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
+#: Longest reason of a refusal that is kept, in characters.
+LONGEST_REASON = 500
+#: What an episode's outcome takes from the environment's ``info``: name, key, type.
+OUTCOME = (("success", "is_success", bool), ("collision", "collision", bool), ("mode", "mode", int))
 
 
 def record_rollouts(
@@ -51,7 +54,11 @@ def record_rollouts(
 
     At every decision ``samples`` chunks of both heads are drawn, each pair with a token or latent of its own (if the
     policy has them). The first pair follows those of the episode, and its chunk is executed for ``n_action_steps``
-    steps; were the others to follow them too, both heads would seem collapsed onto one mode.
+    steps; were the others to follow them too, both heads would seem collapsed onto one mode. Where the policy holds a
+    token or latent, the certificate sees the other pairs alone: they are the decision's own draws.
+
+    An episode in which a decision is refused (a chunk that is not finite, an action that the environment does not take)
+    ends there, counts as a failure and keeps its frames; the recording goes on with the next.
 
     Args:
         policy: The policy, in evaluation mode.
@@ -60,7 +67,7 @@ def record_rollouts(
         env_id: Registered id, for example ``"RotatingRing-v2"``.
         env_kwargs: Its keyword arguments, among them ``control``: which head drives.
         episodes: Episodes to record; episode i is reset with seed ``seed + i``.
-        samples: Chunks per head and decision, at least 2 for within-decision coordination.
+        samples: Pairs of chunks per decision, at least 2 for within-decision coordination.
         seed: Seed of environment and draws.
         provenance: What to say of the policy in ``meta/dualhead.json``.
         progress: Called with 1 after every episode.
@@ -71,12 +78,18 @@ def record_rollouts(
     Raises:
         FileExistsError: If ``root`` holds anything.
         BlockingIOError: If another process records into ``root``.
-        ValueError: If ``samples`` or ``episodes`` is below 1, the policy has another layout, or lacks the head that is
-            to drive.
+        ValueError: If ``samples`` or ``episodes`` is below 1, ``samples`` leaves no fresh pair, the policy has another
+            layout, lacks the head that is to drive, or was refused before the first step of every episode.
     """
     root = Path(root).resolve()
     if samples < 1 or episodes < 1:
         raise ValueError(f"samples={samples} and episodes={episodes} must be at least 1")
+    held = held_pairs(policy)
+    if samples <= held:
+        raise ValueError(
+            f"samples={samples} leaves no fresh pair: the first pair of each decision follows the token or latent that "
+            f"its episode holds; draw {held + 1} or more pairs per decision"
+        )
     control = env_kwargs["control"]
     if control == "pose" and "rotation" not in policy.model.head_dims:
         raise ValueError(
@@ -95,6 +108,7 @@ def record_rollouts(
         "layout": layout.name,
         "horizon": policy.config.chunk_size,
         "samples": samples,
+        "held_pairs": held,
         "num_inference_steps": policy.config.num_inference_steps,
         "seed": seed,
         "partition": env.unwrapped.mode_partition.to_dict(),  # type: ignore[attr-defined]
@@ -102,14 +116,22 @@ def record_rollouts(
     with staging_folder(root) as folder:
         features = _features(layout.dataset_features(), policy, samples)
         dataset = _create_dataset(folder / "dataset", root.name, layout.fps, features)
-        decisions = _Decisions(policy, preprocess, samples)
-        watched = CertificateWrapper(env, decisions, decision_interval=policy.config.n_action_steps or 1)
+        decisions = Decisions(policy, preprocess, samples)
+        watched = CertificateWrapper(
+            env, decisions, decision_interval=policy.config.n_action_steps or 1, held_pairs=held
+        )
         outcomes = []
         for episode in range(episodes):
             outcomes.append(_roll_out(watched, decisions, dataset, executed, seed + episode))
-            dataset.save_episode()
+            if outcomes[-1]["frames"]:
+                dataset.save_episode()
             if progress is not None:
                 progress(1)
+        if not any(outcome["frames"] for outcome in outcomes):
+            raise ValueError(
+                f"every episode was refused before its first step, the first (seed {seed}) because "
+                f"{outcomes[0]['refused']}: evaluate the policy in open loop, or train it further"
+            )
         dataset.finalize()
         env.close()
         sidecar |= {"outcomes": outcomes, "policy": dict(provenance or {})}
@@ -143,76 +165,40 @@ def _create_dataset(root: Path, name: str, fps: int, features: dict[str, dict]) 
     )
 
 
-class _Decisions:
-    """Samples both heads whenever the certificate's wrapper decides, and keeps what the rollout needs.
+def _roll_out(
+    env: CertificateWrapper, decisions: Decisions, dataset: Any, executed: np.ndarray, seed: int
+) -> dict[str, Any]:
+    """Run one episode and add its frames to the dataset; returns what became of it.
 
-    Args:
-        policy: The policy.
-        preprocess: Its preprocessor.
-        samples: Chunks per head and decision.
-
-    Attributes:
-        generator: Source of all draws of one episode.
-        predictions: The last decision's chunks, as the dataset's columns.
-        chunk: Dual actions of the last decision that are still to be executed.
+    A decision that the policy or the environment refuses ends the episode: its frames so far stay, but for the one
+    whose step was refused.
     """
-
-    def __init__(self, policy: DualheadPolicy, preprocess: Callable[[Any], Any], samples: int) -> None:
-        self.policy, self.preprocess, self.samples = policy, preprocess, samples
-        self.blank = {
-            f"prediction.{head}": np.zeros(samples * policy.config.chunk_size * dim, dtype=np.float32)
-            for head, dim in policy.model.head_dims.items()
-        }
-
-    def start(self, seed: int) -> None:
-        """Begin an episode: its draws, and its token or latent."""
-        self.policy.reset()
-        self.generator = torch.Generator().manual_seed(seed)
-        self.token: torch.Tensor | None = None
-        self.latent: torch.Tensor | None = None
-
-    def __call__(self, observation: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Decide: sample both heads, keep the chunk to execute, return both heads' paths (n, H, d) in metres."""
-        policy = self.policy
-        raw = {OBSERVATIONS[key]: torch.from_numpy(observation[key])[None] for key in OBSERVATIONS}
-        batch = self.preprocess(raw)
-        token = policy.draw_tokens(batch, self.samples, self.generator)
-        # A window token belongs to its window; the others are the episode's.
-        if token is not None and policy.config.token != "window":
-            if self.token is not None:
-                token[:, 0] = self.token
-            self.token = token[:, 0]
-        latent = None
-        if policy.model.shared_latent is not None:
-            latent = policy.model.shared_latent.draw((1, self.samples), self.generator)
-            if self.latent is not None:
-                latent[:, 0] = self.latent
-            self.latent = latent[:, 0]
-        coupling = SamplingCoupling(token=token, latent=latent)
-        drawn = policy.sample(batch, self.samples, coupling=coupling, generator=self.generator)
-        self.predictions = {
-            f"prediction.{head}": getattr(drawn, head)[0].flatten().cpu().numpy() for head in policy.model.head_dims
-        }
-        self.chunk = list(policy.dual_chunk(drawn)[0, : policy.config.n_action_steps].cpu().numpy())
-        joint = policy.model.kinematics.position(drawn.joint[0].double())
-        return joint.cpu().numpy(), drawn.position[0].double().cpu().numpy()
-
-
-def _roll_out(env: CertificateWrapper, decisions: _Decisions, dataset: Any, executed: np.ndarray, seed: int) -> Any:
-    """Run and record one episode; returns what became of it."""
+    outcome: dict[str, Any] = {
+        "seed": seed,
+        "success": False,
+        "collision": False,
+        "mode": -1,
+        "frames": 0,
+        "refused": None,
+    }
     decisions.start(seed)
-    observation, info = env.reset(seed=seed)
+    try:
+        observation, info = env.reset(seed=seed)
+    except ValueError as error:
+        return outcome | {"refused": _one_line(error)}
     done = False
     while not done:
-        decided = info["coordination"]["decision"]
-        certificate = certificate_columns(info)
-        action = decisions.chunk.pop(0)
-        after, reward, terminated, truncated, info = env.step(action[executed])
+        decided, certificate = info["coordination"]["decision"], certificate_columns(info)
+        predictions, action = decisions.predictions if decided else decisions.blank, decisions.chunk.pop(0)
+        try:
+            after, reward, terminated, truncated, info = env.step(action[executed])
+        except ValueError as error:
+            return outcome | {"refused": _one_line(error)}
         dataset.add_frame(
             {
                 **{OBSERVATIONS[key]: observation[key] for key in OBSERVATIONS},
                 "action": action,
-                **(decisions.predictions if decided else decisions.blank),
+                **predictions,
                 "prediction.decision": np.array([decided]),
                 **certificate,
                 "next.reward": np.array([reward], dtype=np.float32),
@@ -220,12 +206,12 @@ def _roll_out(env: CertificateWrapper, decisions: _Decisions, dataset: Any, exec
                 "task": str(env.unwrapped.task_description),  # type: ignore[attr-defined]
             }
         )
-        observation, done = after, terminated or truncated
-    return {
-        "seed": seed,
-        "success": bool(info["is_success"]),
-        "collision": bool(info["collision"]),
-        "mode": int(info["mode"]),
+        outcome |= {name: kind(info[key]) for name, key, kind in OUTCOME} | {"frames": outcome["frames"] + 1}
         # Robot environments say why an episode failed, and when its perturbation began.
-        **{key: info[key] for key in ("failure", "onset") if key in info},
-    }
+        outcome |= {key: info[key] for key in ("failure", "onset") if key in info}
+        observation, done = after, terminated or truncated
+    return outcome
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:LONGEST_REASON]

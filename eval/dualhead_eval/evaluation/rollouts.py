@@ -34,6 +34,7 @@ class ClosedLoop:
         episodes: Episodes rolled out.
         successes: Episodes that ended in success.
         collisions: Episodes that ended in a collision.
+        refusals: One sentence per episode that ended because a decision was refused; they count as failures.
     """
 
     env_id: str
@@ -41,6 +42,7 @@ class ClosedLoop:
     episodes: int
     successes: int
     collisions: int
+    refusals: tuple[str, ...] = ()
 
     @property
     def success_rate(self) -> float:
@@ -58,6 +60,7 @@ class ClosedLoop:
         return (
             f"{self.control} head driving: success {self.successes} of {self.episodes} = {self.success_rate:.1%} "
             f"[{low:.1%}, {high:.1%}], collision {self.collisions} of {self.episodes}"
+            + (f", refused {len(self.refusals)} of {self.episodes}" if self.refusals else "")
         )
 
 
@@ -72,6 +75,12 @@ def closed_loop_of(sidecar: Mapping[str, Any]) -> ClosedLoop | None:
         episodes=len(outcomes),
         successes=sum(outcome["success"] for outcome in outcomes),
         collisions=sum(outcome["collision"] for outcome in outcomes),
+        refusals=tuple(
+            f"episode {number} (seed {outcome['seed']}) was refused after {outcome['frames']} steps: "
+            f"{outcome['refused']}"
+            for number, outcome in enumerate(outcomes)
+            if outcome.get("refused")
+        ),
     )
 
 
@@ -106,9 +115,11 @@ def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
 def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | None = None) -> Gate:
     """Count the predictions of a rollout dataset: every decision is a condition of its own.
 
+    Pairs that follow what the episode holds are left out: they are no draws of their decision.
+
     Raises:
         FileNotFoundError: If there is no dataset.
-        ValueError: If it holds no predictions of both heads.
+        ValueError: If it holds no predictions of both heads, or does not say which pairs are held.
     """
     # Reading outcomes alone, as a report does, needs none of these.
     import torch
@@ -135,10 +146,15 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
     decision = columns["prediction.decision"].reshape(-1).astype(bool)
     if not decision.any():
         raise ValueError(f"{root} holds no decision: expected prediction.decision to be true in some frames")
-    n, horizon = sidecar["samples"], sidecar["horizon"]
+    n, held, horizon = sidecar["samples"], sidecar.get("held_pairs"), sidecar["horizon"]
+    if held is None or held >= n:
+        raise ValueError(
+            f"{sidecar_path} has held_pairs={held} of samples={n}, expected how many pairs of a decision follow the "
+            "episode's token or latent, and fresh pairs beside them: record the rollouts again"
+        )
 
     def chunks(key: str) -> np.ndarray:
-        return columns[key][decision].reshape(int(decision.sum()), n, horizon, -1)
+        return columns[key][decision].reshape(int(decision.sum()), n, horizon, -1)[:, held:]
 
     partition = environment_partition(sidecar["env_id"], sidecar["env_kwargs"])
     condition = columns["observation.environment_state"][decision]

@@ -216,7 +216,8 @@ def closed_loop_table(report: Report) -> Table:
     for name, loop in report.loops:
         success = with_bounds(loop.success_rate, loop.success_interval, ".1%")
         collision = f"{loop.collisions / loop.episodes:.1%}"
-        lines.append((name, loop.env_id, loop.control, str(loop.episodes), success, collision))
+        refused = str(len(loop.refusals))
+        lines.append((name, loop.env_id, loop.control, str(loop.episodes), success, collision, refused))
     columns = (
         Column("run", text=True),
         Column("environment", text=True),
@@ -224,6 +225,7 @@ def closed_loop_table(report: Report) -> Table:
         Column("episodes"),
         Column("success [95%]", "in brackets Wilson's interval"),
         Column("collision"),
+        Column("refused", "episodes that ended because a decision was refused; they count as failures"),
     )
     return Table(
         "Closed loop", columns, tuple(lines), notes=("Outcomes of episodes: no threshold and no NFE enters them.",)

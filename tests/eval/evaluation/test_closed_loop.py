@@ -11,9 +11,13 @@ import pytest
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies.factory import make_policy
 
+from dualhead_envs.dataset_sidecar import read_rollout_sidecar
 from dualhead_eval.cli import main
-from dualhead_eval.evaluation.rollouts import ClosedLoop, read_closed_loop
+from dualhead_eval.evaluation.closed_loop import record_rollouts
+from dualhead_eval.evaluation.decisions import held_pairs
+from dualhead_eval.evaluation.rollouts import ClosedLoop, read_closed_loop, rollout_gate
 from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.pretrained import load_policy
 from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
 
 SMALL = {"velocity_width": 16, "encoder_dim": 8, "seed": 0, "device": "cpu"}
@@ -133,3 +137,58 @@ def test_a_rolled_out_policy_keeps_what_became_of_its_episodes(trained, ring_dat
     name, loop = read_closed_loop(target)
     assert (name, loop.episodes) == ("rollouts, 30 steps", 3)
     assert loop.successes == sum(outcome["success"] for outcome in kept["outcomes"])
+
+
+def faulty(preprocess, seeds):
+    """A preprocessor whose sensor fails (NaN) in the first decision of some episodes."""
+    decisions = iter(range(1000))
+
+    def observe(raw):
+        batch = preprocess(raw)
+        if next(decisions) in seeds:
+            batch["observation.state"] = batch["observation.state"] * np.nan
+        return batch
+
+    return observe
+
+
+@pytest.fixture(scope="module")
+def loaded(trained):
+    return load_policy(trained)
+
+
+RING = {"env_id": "RotatingRing-v2", "env_kwargs": {"representation": "nullspace", "control": "position"}}
+
+
+def test_a_refused_decision_ends_its_episode_and_not_the_recording(loaded, tmp_path):
+    policy, preprocess = loaded
+    policy.config.n_action_steps = 8
+    # Two decisions an episode: the second of episode 0 fails, then the first of episode 2.
+    loop, _ = record_rollouts(policy, faulty(preprocess, {1, 4}), tmp_path / "loop", episodes=4, **RING)
+    outcomes = read_rollout_sidecar(tmp_path / "loop" / "meta" / "dualhead.json")["outcomes"]
+    assert [outcome["frames"] for outcome in outcomes] == [7, 16, 0, 16]
+    assert [outcome["refused"] is None for outcome in outcomes] == [False, True, False, True]
+    assert "refused 2 of 4" in str(loop)
+    assert loop.refusals[0].startswith("episode 0 (seed 0) was refused after 7 steps: the observations")
+    assert read_closed_loop(tmp_path / "loop")[1] == loop
+    assert rollout_gate(tmp_path / "loop").counts.sum() == 1 + 2 + 2
+    with pytest.raises(ValueError, match="every episode was refused before its first step"):
+        record_rollouts(policy, faulty(preprocess, set(range(9))), tmp_path / "none", episodes=2, **RING)
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_certificate_sees_fresh_pairs_alone(loaded, tmp_path):
+    """Under an oracle token that the episode holds, n samples are n - 1 draws of a decision; one sample is none."""
+    policy, preprocess = loaded
+    assert held_pairs(policy) == 1
+    with pytest.raises(ValueError, match="leaves no fresh pair"):
+        record_rollouts(policy, preprocess, tmp_path / "loop", episodes=1, samples=1, **RING)
+    record_rollouts(policy, preprocess, tmp_path / "loop", episodes=3, samples=5, **RING)
+    gate = rollout_gate(tmp_path / "loop")
+    assert (gate.counts.sum(axis=(-1, -2)) == 4).all()
+    path = tmp_path / "loop" / "meta" / "dualhead.json"
+    kept = json.loads(path.read_text())
+    del kept["held_pairs"]
+    path.write_text(json.dumps(kept))
+    with pytest.raises(ValueError, match="record the rollouts again"):
+        rollout_gate(tmp_path / "loop")

@@ -1,0 +1,88 @@
+"""Decisions of a policy in closed loop: several pairs of chunks each, of which the first is executed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.sampling import SamplingCoupling
+
+#: Observations by LeRobot key, as the environments name them.
+OBSERVATIONS = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
+
+
+def held_pairs(policy: DualheadPolicy) -> int:
+    """Pairs of a decision that follow what the episode holds: 1 under oracle or episode tokens or a latent, else 0.
+
+    A held pair is no draw of its own decision: under unequal priors it repeats the first decision's choice through the
+    whole episode. What counts independent draws leaves it out.
+    """
+    holds_token = policy.model.tokens is not None and policy.config.token != "window"
+    return int(holds_token or policy.model.shared_latent is not None)
+
+
+class Decisions:
+    """Samples both heads whenever it is called, and keeps what a rollout needs.
+
+    Args:
+        policy: The policy.
+        preprocess: Its preprocessor.
+        samples: Pairs of chunks per decision.
+
+    Attributes:
+        generator: Source of all draws of one episode.
+        predictions: The last decision's chunks, as the dataset's columns.
+        blank: The same columns where nothing was decided.
+        chunk: Dual actions of the last decision that are still to be executed.
+    """
+
+    def __init__(self, policy: DualheadPolicy, preprocess: Callable[[Any], Any], samples: int) -> None:
+        self.policy, self.preprocess, self.samples = policy, preprocess, samples
+        self.blank = {
+            f"prediction.{head}": np.zeros(samples * policy.config.chunk_size * dim, dtype=np.float32)
+            for head, dim in policy.model.head_dims.items()
+        }
+
+    def start(self, seed: int) -> None:
+        """Begin an episode: its draws, and its token or latent."""
+        self.policy.reset()
+        self.generator = torch.Generator().manual_seed(seed)
+        self.token: torch.Tensor | None = None
+        self.latent: torch.Tensor | None = None
+
+    def __call__(self, observation: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Decide: sample both heads, keep the chunk to execute, return both heads' paths (n, H, d) in metres.
+
+        Raises:
+            ValueError: If a chunk is not finite.
+        """
+        policy = self.policy
+        raw = {OBSERVATIONS[key]: torch.from_numpy(observation[key])[None] for key in OBSERVATIONS}
+        batch = self.preprocess(raw)
+        token = policy.draw_tokens(batch, self.samples, self.generator)
+        # A window token belongs to its window; the others are the episode's.
+        if token is not None and policy.config.token != "window":
+            if self.token is not None:
+                token[:, 0] = self.token
+            self.token = token[:, 0]
+        latent = None
+        if policy.model.shared_latent is not None:
+            latent = policy.model.shared_latent.draw((1, self.samples), self.generator)
+            if self.latent is not None:
+                latent[:, 0] = self.latent
+            self.latent = latent[:, 0]
+        coupling = SamplingCoupling(token=token, latent=latent)
+        drawn = policy.sample(batch, self.samples, coupling=coupling, generator=self.generator)
+        for head in policy.model.head_dims:
+            if not torch.isfinite(getattr(drawn, head)).all():
+                raise ValueError(f"the {head} head predicted a number that is not finite")
+        self.predictions = {
+            f"prediction.{head}": getattr(drawn, head)[0].flatten().cpu().numpy() for head in policy.model.head_dims
+        }
+        self.chunk = list(policy.dual_chunk(drawn)[0, : policy.config.n_action_steps].cpu().numpy())
+        joint = policy.model.kinematics.position(drawn.joint[0].double())
+        return joint.cpu().numpy(), drawn.position[0].double().cpu().numpy()
