@@ -23,6 +23,8 @@ action = np.append(observation["agent_pos"][:7] + 0.1, -1.0).astype(np.float32)
 for _ in range(5):
     moved = env.step(action)[0]
 assert (moved["pixels"] != observation["pixels"]).any()
+aside = gym.make("dualhead_envs:RotatingBypass-v3", pixels=True, image_size=(48, 64), perturbation="obstacle:0.1")
+assert (aside.reset(seed=0)[0]["pixels"] != observation["pixels"]).mean() > 0.01, "pictures show the moved obstacle"
 """
 SENTENCE = """
 import gymnasium as gym
