@@ -81,12 +81,16 @@ class SplitFrames:
         frames = at_branch[first]
         return Conditions({key: column[frames] for key, column in self.observation.items()}, pair)
 
-    def mode_windows(self, horizon: int) -> np.ndarray | None:
-        """Positions of every pair's demonstrations after the branch, by mode: (B, K, horizon, d) in metres.
+    def mode_windows(self, horizon: int, prefix: str = "position.") -> np.ndarray | None:
+        """Actions of every pair's demonstrations after the branch, by mode: (B, K, horizon, d).
 
         Pairs are ordered as in :meth:`conditions`. None if a pair lacks a mode or a whole window.
+
+        Args:
+            horizon: Steps of a window.
+            prefix: Of the action dimensions' names: ``"position."`` (m) or ``"joint."`` (rad on robots).
         """
-        position = [i for i, name in enumerate(self.action_names) if name.startswith("position.")]
+        columns = [i for i, name in enumerate(self.action_names) if name.startswith(prefix)]
         at_branch = np.flatnonzero(self.frame_index == self.labels["branch_step"])
         pairs, row = np.unique(self.labels["pair"][at_branch], return_inverse=True)
         mode = self.labels["mode"][at_branch]
@@ -96,7 +100,7 @@ class SplitFrames:
         first[row, mode] = at_branch
         if (first < 0).any():
             return None
-        return self.action[:, position][first[..., None] + np.arange(horizon)].astype(np.float64)
+        return self.action[:, columns][first[..., None] + np.arange(horizon)].astype(np.float64)
 
     @cached_property
     def fingerprint(self) -> str:

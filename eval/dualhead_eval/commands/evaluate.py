@@ -29,6 +29,7 @@ SERVES = {
     "perturb": ("record",),
     "token": ("exact",),
     "token_replacement_prob": ("exact",),
+    "consistency_weight": ("exact",),
 }
 
 DESCRIPTION = """\
@@ -89,6 +90,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     exact = parser.add_argument_group("with --exact")
     exact.add_argument("--token", choices=["oracle"], help="condition both heads on the oracle token")
     exact.add_argument("--token-replacement-prob", type=float, metavar="P")
+    exact.add_argument(
+        "--consistency-weight",
+        type=float,
+        metavar="L",
+        help="the optimum under endpoint consistency of this weight (two modes, ring or robot; trained with"
+        " --source-noise-beta)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -156,7 +164,7 @@ def _sampled(args: argparse.Namespace) -> Gate:
     from dualhead_eval.evaluation.open_loop import evaluate
     from dualhead_eval.evaluation.policy_card import update_card
     from dualhead_eval.evaluation.protocol import EvaluationProtocol
-    from dualhead_eval.evaluation.samplers import open_exact_reference, open_policy
+    from dualhead_eval.evaluation.samplers import open_exact_reference, open_penalised_reference, open_policy
     from dualhead_policy.pretrained import policy_folder
     from dualhead_policy.sampling import SamplingCoupling
 
@@ -166,7 +174,12 @@ def _sampled(args: argparse.Namespace) -> Gate:
         coupling=SamplingCoupling(source_noise_beta=args.source_noise_beta, share_token=not args.redraw_token),
     )
     conditions = open_conditions(args.dataset, args.conditions)
-    if args.exact:
+    if args.consistency_weight is not None:
+        if args.token is not None:
+            raise ValueError("--consistency-weight has no reference with a token: leave --token out")
+        beta = 1.0 if args.source_noise_beta is None else args.source_noise_beta
+        sampler = open_penalised_reference(args.dataset, conditions, args.consistency_weight, beta)
+    elif args.exact:
         options = _given(args, token="token", token_replacement_prob="token_replacement_prob")
         sampler = open_exact_reference(conditions, **options)
     else:

@@ -1,4 +1,4 @@
-"""What can be evaluated, opened by path: a policy's folder, or the exact reference of a ring."""
+"""What can be evaluated, opened by path: a policy's folder, or a reference of the conditions."""
 
 from __future__ import annotations
 
@@ -90,7 +90,26 @@ def open_exact_reference(conditions: ConditionBank, **options: Any) -> Evaluated
         raise ValueError(
             f"the exact reference exists on the ring only, not for {conditions.kinematic_map!r}: evaluate a policy"
         )
-    names = ("mode_probabilities", "mode_angles", "path_spread")
-    known = {name: conditions.env_kwargs[name] for name in names if conditions.env_kwargs.get(name) is not None}
-    reference = ExactReference(conditions.partition.n_modes, representation, **known, **options)
+    reference = ExactReference(conditions.partition.n_modes, representation, **_ring_options(conditions), **options)
     return EvaluatedSampler(reference, dict, KinematicMap(reference.kinematic_map), reference.describe())
+
+
+def open_penalised_reference(
+    root: str | Path, conditions: ConditionBank, consistency_weight: float, source_noise_beta: float
+) -> EvaluatedSampler:
+    """The optimum of flow matching with endpoint consistency under ``conditions``, which were read from ``root``.
+
+    Raises:
+        FileNotFoundError, ValueError: See :func:`dualhead_eval.penalised_reference.opening.open_reference`.
+    """
+    from dualhead_eval.penalised_reference.opening import open_reference
+
+    reference = open_reference(
+        root, conditions.observation, consistency_weight, source_noise_beta, _ring_options(conditions)
+    )
+    return EvaluatedSampler(reference, dict, KinematicMap(reference.kinematic_map), reference.describe())
+
+
+def _ring_options(conditions: ConditionBank) -> dict[str, Any]:
+    names = ("mode_probabilities", "mode_angles", "path_spread")
+    return {name: conditions.env_kwargs[name] for name in names if conditions.env_kwargs.get(name) is not None}
