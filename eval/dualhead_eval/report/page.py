@@ -13,12 +13,13 @@ from dualhead_eval.report.table import Cell, Table, printable
 from dualhead_eval.report.tables import paper_tables, report_tables
 
 _STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1400px; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.6em; } h2 { font-size: 1.2em; margin-top: 2.2em; }
-table { border-collapse: collapse; font-size: 0.88em; margin: 0.6em 0; }
+table { border-collapse: collapse; font-size: 0.88em; margin: 0.6em 0; width: max-content; }
 th, td { padding: 0.25em 0.7em; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }
 th { border-bottom: 2px solid #888; } td.text, th.text { text-align: left; }
-td.number { white-space: nowrap; }
+td.number { white-space: nowrap; } td.text { max-width: 34em; }
+td:first-child, th:first-child { position: sticky; left: 0; background: #fff; }
 td.warn { background: #fff3c4; } .wide { overflow-x: auto; } figure { margin: 1.2em 0; }
 figure img { max-width: 100%; } figcaption, .note { color: #555; font-size: 0.9em; }
 details { margin: 0.5em 0; } pre { font-size: 0.8em; background: #f6f6f6; padding: 0.8em; overflow-x: auto; }

@@ -1,12 +1,21 @@
 """Every figure reads from the report."""
 
+import io
+from dataclasses import replace
+from itertools import combinations, pairwise
+
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.text import Text
 
 from dualhead_eval.report.content import make_report
 from dualhead_eval.report.figures.figures import CAPTIONS, report_figures
 from dualhead_eval.report.figures.forest import forest_figure
 from dualhead_eval.report.figures.heatmap import heatmap_figure
-from dualhead_eval.report.figures.region import draw_region
+from dualhead_eval.report.figures.label_placement import spaced
+from dualhead_eval.report.figures.region import draw_region, region_figure
 from dualhead_eval.report.figures.sensitivity import sensitivity_figure
 from dualhead_eval.report.figures.strata import strata_figure
 
@@ -55,3 +64,33 @@ def test_the_strata_are_those_of_the_reports_operating_point(make_gate):
 def test_a_three_head_run_keeps_the_residual_of_every_run(make_gate):
     figure = heatmap_figure(make_report([make_gate("two"), make_gate("three", 0.5, heads=3)]))
     assert "residual (mm)" in texts(figure)
+
+
+def test_labels_of_runs_at_one_place_do_not_collide(make_gate):
+    """Twenty runs on the floor, where labels beside their points used to overlap."""
+    gates = [make_gate(f"independent {seed}", seed=seed, config={"seed": seed}, pairs=60) for seed in range(20)]
+    figure = region_figure(make_report(gates))
+    figure.savefig(io.BytesIO(), format="png")
+    labels = [text for text in figure.axes[0].texts if text.get_text().startswith("independent")]
+    # The words alone, without the line that joins them to their point.
+    boxes = [Text.get_window_extent(text) for text in labels]
+    assert len(boxes) == 20
+    assert not any(first.overlaps(second) for first, second in combinations(boxes, 2))
+    assert all(box.x0 > figure.axes[0].get_window_extent().x1 for box in boxes)
+
+
+@given(st.lists(st.floats(0, 1), max_size=12).map(sorted), st.floats(0.001, 0.08))
+def test_spaced_positions_keep_their_order_their_distance_and_the_room(positions, gap):
+    placed = spaced(positions, gap)
+    assert (np.diff(placed) >= gap - 1e-9).all()
+    assert ((placed >= -1e-9) & (placed <= 1 + 1e-9)).all()
+    if all(b - a >= gap for a, b in pairwise(positions)):
+        assert placed == pytest.approx(positions)
+
+
+def test_ticks_of_neighbouring_numbers_of_steps_do_not_collide(make_gate):
+    report = make_report([make_gate("a"), make_gate("b", seed=1)])
+    crowded = [replace(curve, points=tuple(replace(p, nfe=n) for p, n in zip(curve.points, (19, 20), strict=True)))
+               for curve in report.nfe_curves]  # fmt: skip
+    (effect, _) = sensitivity_figure(crowded).axes
+    assert [text.get_text() for text in effect.get_xticklabels()] == ["19"]

@@ -1,4 +1,4 @@
-"""Labels beside points that neither overlap each other nor hide the points."""
+"""Labels of points in a column beside the axes, in the points' order, so that no two ever meet."""
 
 from __future__ import annotations
 
@@ -6,70 +6,57 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import isotonic_regression
 
-#: Directions tried around a point (degrees), sideways first because text is wide.
-_ANGLES = (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90)
-_RADII = (9, 16, 26, 38, 52, 68, 86, 106, 130)
+#: Distance of two lines of text, in font sizes.
+LINE = 1.35
 
 
-def place_labels(ax: Axes, x: Sequence[float], y: Sequence[float], labels: Sequence[str], size: float = 8) -> None:
-    """Annotate the points of ``ax`` (data coordinates), moving each label to a free spot near its point.
+def spaced(positions: ArrayLike, gap: float, low: float = 0.0, high: float = 1.0) -> NDArray[np.float64]:
+    """Positions at least ``gap`` apart, in their order and as near as possible to those given.
 
-    Limits of the axes must be final. Each label takes the nearest candidate position that lies inside the
-    axes and meets no other label or point; distant ones get a thin leader line.
+    Args:
+        positions: Wanted positions ``(n,)``, increasing.
+        gap: Smallest distance of neighbours.
+        low: Lower end of the room.
+        high: Upper end of the room; where n positions do not fit, the gap shrinks.
+
+    >>> spaced([0.5, 0.5, 0.9], gap=0.2).round(2).tolist()
+    [0.4, 0.6, 0.9]
     """
-    figure = ax.figure
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    scale = figure.dpi / 72
-    frame = ax.get_window_extent(renderer)
-    points = ax.transData.transform(np.column_stack([x, y]))
-    taken = [np.array([px - 4 * scale, py - 4 * scale, px + 4 * scale, py + 4 * scale]) for px, py in points]
-    placed: list[np.ndarray] = []
-    for index in np.argsort(-points[:, 1], kind="stable"):
-        text = ax.annotate(
+    wanted = np.asarray(positions, dtype=np.float64)
+    if wanted.size == 0:
+        return wanted
+    gap = min(gap, (high - low) / max(1, wanted.size - 1))
+    steps = gap * np.arange(wanted.size)
+    return np.clip(isotonic_regression(wanted - steps).x, low, high - steps[-1]) + steps
+
+
+def label_beside(ax: Axes, x: Sequence[float], y: Sequence[float], labels: Sequence[str], *, size: float = 8) -> None:
+    """Write the points' labels in a column to the right of ``ax``, each joined to its point by a thin line.
+
+    Limits of the axes and the size of its figure must be final.
+    """
+    order = np.lexsort([x, y])
+    points = ax.transAxes.inverted().transform(ax.transData.transform(np.column_stack([x, y])))
+    height = ax.get_window_extent().height / ax.figure.dpi * 72
+    heights = spaced(points[order, 1], LINE * size / height)
+    for index, at in zip(order, heights, strict=True):
+        ax.annotate(
             labels[index],
             (x[index], y[index]),
-            xytext=(0, 0),
-            textcoords="offset points",
+            xytext=(1.03, float(at)),
+            textcoords="axes fraction",
             fontsize=size,
-            path_effects=[withStroke(linewidth=2.5, foreground="white")],
-            zorder=5,
+            va="center",
+            arrowprops={
+                "arrowstyle": "-",
+                "color": "0.6",
+                "linewidth": 0.5,
+                "shrinkA": 1,
+                "shrinkB": 3,
+                "relpos": (0, 0.5),
+            },
+            annotation_clip=False,
         )
-        extent = text.get_window_extent(renderer)
-        width, height = extent.width, extent.height
-        best, least = None, np.inf
-        for radius in _RADII:
-            for angle in _ANGLES:
-                dx, dy = (
-                    radius * np.cos(np.radians(angle)) * scale,
-                    radius * np.sin(np.radians(angle)) * scale,
-                )
-                left = points[index, 0] + dx - (0 if dx > 1e-6 else width if dx < -1e-6 else width / 2)
-                low = points[index, 1] + dy - height / 2
-                box = np.array([left, low, left + width, low + height])
-                outside = max(0.0, frame.x0 - box[0]) + max(0.0, box[2] - frame.x1)
-                outside += max(0.0, frame.y0 - box[1]) + max(0.0, box[3] - frame.y1)
-                # Labels of higher points were placed before and should stay above.
-                inverted = sum(box[0] < other[2] and other[0] < box[2] and box[1] > other[1] for other in placed)
-                cost = radius * scale + 50 * outside + 40 * inverted
-                cost += 100 * sum(_overlap(box, other) for other in taken)
-                if cost < least:
-                    best, least = box, cost
-        assert best is not None
-        taken.append(best)
-        placed.append(best)
-        offset = (best[:2] - points[index]) / scale
-        text.set_position((float(offset[0]), float(offset[1])))
-        nearest = np.clip(points[index], best[:2], best[2:])
-        nearest[1] = (best[1] + best[3]) / 2
-        if np.hypot(*(nearest - points[index])) > 12 * scale:
-            line = ax.transData.inverted().transform([points[index], nearest])
-            ax.plot(line[:, 0], line[:, 1], color="0.6", linewidth=0.6, zorder=2)
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Length scale (pixels) of the overlap of two boxes (x0, y0, x1, y1), 0 if they are apart."""
-    wide = min(a[2], b[2]) - max(a[0], b[0])
-    high = min(a[3], b[3]) - max(a[1], b[1])
-    return float(np.sqrt(wide * high)) if wide > 0 and high > 0 else 0.0

@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 
 from dualhead_eval.atomic_text import write_bytes
 from dualhead_eval.report.content import Report
-from dualhead_eval.report.figures.label_placement import place_labels
+from dualhead_eval.report.figures.label_placement import LINE, label_beside
 from dualhead_eval.statistics.bootstrap import MARGIN
 
+_LABEL_SIZE = 8
 _MARKERS = {2: "o", 3: "^", 4: "s", 8: "D"}
 
 
@@ -51,7 +52,10 @@ def region_figure(report: Report, *, normalised: bool | None = None) -> Figure:
     if normalised is None:
         normalised = len({s.n_modes for s in drawn}) > 1
 
-    figure = Figure(figsize=(7.6, 5.6), dpi=160, layout="constrained")
+    # Room for one line per label, and beside the axes for the longest.
+    height = max(5.6, 1.5 + len(drawn) * LINE * _LABEL_SIZE / 72)
+    width = 6.2 + max(len(s.name) for s in drawn) * 0.56 * _LABEL_SIZE / 72
+    figure = Figure(figsize=(width, height), dpi=160, layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
     limit = 1.0 if normalised else max(1 - 1 / s.n_modes for s in drawn)
@@ -84,7 +88,8 @@ def region_figure(report: Report, *, normalised: bool | None = None) -> Figure:
             label=f"K = {n_modes}",
         )
     assert scatter is not None
-    figure.colorbar(scatter, ax=ax, label="valid-pair rate", shrink=0.85)
+    bar = figure.colorbar(scatter, ax=ax, label="valid-pair rate", orientation="horizontal", shrink=0.6, aspect=40)
+    bar.ax.tick_params(labelsize=7)
     over = " / (1 - 1/K)" if normalised else ""
     ax.set_xlabel(f"capacity C{over}   (how varied the heads are)")
     ax.set_ylabel(f"effect Δ{over}   (agreement above chance)")
@@ -92,8 +97,7 @@ def region_figure(report: Report, *, normalised: bool | None = None) -> Figure:
     if len({s.n_modes for s in drawn}) > 1:
         ax.legend(loc="upper left", frameon=False, fontsize=8)
     figure.canvas.draw()
-    figure.set_layout_engine("none")
-    place_labels(ax, x.tolist(), y.tolist(), [s.name for s in drawn])
+    label_beside(ax, x.tolist(), y.tolist(), [s.name for s in drawn], size=_LABEL_SIZE)
     return figure
 
 

@@ -40,7 +40,7 @@ def sensitivity_figure(lines: Sequence[SensitivityCurve]) -> Figure:
         ax.spines[["top", "right"]].set_visible(False)
         if lines[0].axis == "nfe":
             ax.set_xscale("log")
-            ticks = sorted({p for line in lines for p in line.positions})
+            ticks = _apart(sorted({p for line in lines for p in line.positions}))
             ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
             ax.minorticks_off()
     effect.axhline(0, color="0.6", linewidth=0.8)
@@ -49,3 +49,12 @@ def sensitivity_figure(lines: Sequence[SensitivityCurve]) -> Figure:
     valid.set_ylim(0, 1.02)
     figure.legend(loc="outside lower center", ncols=3, fontsize=7, frameon=False)
     return figure
+
+
+def _apart(positions: Sequence[float], ratio: float = 1.3) -> list[float]:
+    """The positions whose labels do not collide on a logarithmic axis: each at least ``ratio`` times the one before."""
+    kept: list[float] = []
+    for position in positions:
+        if not kept or position >= ratio * kept[-1]:
+            kept.append(position)
+    return kept

@@ -8,6 +8,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dualhead_eval.report.content import Report
 
+#: Ratio of medians from which the axis is logarithmic.
+_WIDE = 40
 _COLORS = {"same": "tab:green", "cross": "tab:red"}
 
 
@@ -22,7 +24,8 @@ def strata_figure(report: Report, component: str = "position") -> Figure:
         raise ValueError(f"no gate holds residual strata {component!r}, expected at least one: evaluate again")
     parts = [run.gate.strata[component].at(run.gate.index(run.first.tau, run.first.nfe)) for run in drawn]
     height = 1.5 + 0.33 * len(drawn)
-    figure = Figure(figsize=(9.2, height), dpi=160, layout=ConstrainedLayoutEngine(wspace=0.05))
+    width = 6.4 + max(len(run.name) for run in drawn) * 0.06
+    figure = Figure(figsize=(width, height), dpi=160, layout=ConstrainedLayoutEngine(wspace=0.05))
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     rows = np.arange(len(drawn))[::-1]
     for row, run, strata in zip(rows, drawn, parts, strict=True):
@@ -47,7 +50,12 @@ def strata_figure(report: Report, component: str = "position") -> Figure:
     left.set_yticks(rows, [run.name for run in drawn], fontsize=8)
     left.set_ylim(-0.6, len(drawn) - 0.4)
     left.set_xlabel(f"median residual per condition ({parts[0].unit})")
-    left.set_xlim(left=0)
+    medians = np.concatenate([strata.median[np.isfinite(strata.median)] for strata in parts])
+    if medians.size and 0 < medians.max() <= _WIDE * medians.min():
+        left.set_xlim(left=0)
+    elif medians.size and medians.min() > 0:
+        # A ring's residuals are ten times a robot's: a linear axis would show the one or the other.
+        left.set_xscale("log")
     left.legend(fontsize=7, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     right.set_xlim(0, 1)
     right.set_xlabel("share of the residual from\ncross-mode pairs")
