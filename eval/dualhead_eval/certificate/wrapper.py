@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dualhead_eval.certificate.certificate import CoordinationCertificate
+from dualhead_eval.certificate.decision_wrapper import DecisionWrapper
 from dualhead_eval.certificate.reading import VERDICTS
 from dualhead_eval.effects.sites import readable_valid_rate
 from dualhead_eval.residuals.distances import position_residual_mm
@@ -31,7 +32,7 @@ CERTIFICATE_FEATURES: dict[str, dict[str, Any]] = {
 }
 
 
-class CertificateWrapper(gym.Wrapper):
+class CertificateWrapper(DecisionWrapper):
     """Attach a certificate to one environment.
 
     ``info["coordination"]`` holds ``verdict``, ``reason`` (why it is not a firmer one), ``kind``, ``delta``,
@@ -51,6 +52,8 @@ class CertificateWrapper(gym.Wrapper):
         ValueError: If the environment has no mode partition, or the certificate another number of modes.
     """
 
+    key = "coordination"
+
     def __init__(
         self,
         env: gym.Env,
@@ -60,15 +63,13 @@ class CertificateWrapper(gym.Wrapper):
         decision_interval: int = 8,
         held_pairs: int = 0,
     ) -> None:
-        super().__init__(env)
+        super().__init__(env, decision_interval)
         partition = getattr(env.unwrapped, "mode_partition", None)
         if partition is None:
             raise ValueError(
                 f"{env.unwrapped!r} has no mode_partition, expected an environment of dualhead_envs: only these "
                 "label trajectories"
             )
-        if decision_interval < 1:
-            raise ValueError(f"decision_interval={decision_interval}, expected at least 1 step")
         if held_pairs < 0:
             raise ValueError(f"held_pairs={held_pairs}, expected 0 or a number of pairs")
         self.certificate = certificate or CoordinationCertificate(
@@ -81,27 +82,11 @@ class CertificateWrapper(gym.Wrapper):
             )
         self._partition = partition
         self._predict = predict
-        self._interval = decision_interval
         self._held = held_pairs
-        self._since_decision = 0
         self._residual = float("nan")
 
-    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment and make the first decision; the certificate keeps what it has seen."""
-        observation, info = super().reset(**kwargs)
-        self._decide(observation)
-        return observation, info | {"coordination": self._report(decision=True)}
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment; decide again when the interval is over and the episode goes on."""
-        observation, reward, terminated, truncated, info = super().step(action)
-        self._since_decision += 1
-        due = self._since_decision >= self._interval and not (terminated or truncated)
-        if due:
-            self._decide(observation)
-        return observation, reward, terminated, truncated, info | {"coordination": self._report(decision=due)}
-
-    def _decide(self, observation: Mapping[str, Any]) -> None:
+    def decide(self, observation: Mapping[str, Any], step: int) -> None:
+        """Sample both heads, label the paths, feed the certificate, which keeps what it has seen through resets."""
         path_a, path_b = (np.asarray(path, dtype=np.float64) for path in self._predict(observation))
         if path_a.ndim != 3 or path_a.shape != path_b.shape:
             raise ValueError(
@@ -116,9 +101,9 @@ class CertificateWrapper(gym.Wrapper):
         labels = (self._partition.assign(path[self._held :], condition) for path in (path_a, path_b))
         self.certificate.update(*(label[None] for label in labels))
         self._residual = float(position_residual_mm(path_a, path_b).mean())
-        self._since_decision = 0
 
-    def _report(self, *, decision: bool) -> dict[str, Any]:
+    def report(self, *, decided: bool) -> dict[str, Any]:
+        """Verdict, estimates and the last decision's residual."""
         reading = self.certificate.reading
         return {
             "verdict": reading.verdict,
@@ -128,7 +113,7 @@ class CertificateWrapper(gym.Wrapper):
             "capacity": reading.capacity,
             "valid_rate": reading.valid_rate,
             "decisions": reading.decisions,
-            "decision": decision,
+            "decision": decided,
             "residual_mm": self._residual,
         }
 
