@@ -76,6 +76,12 @@ class Outcome(Schema):
     failure: Label | None = None
     onset: Annotated[int, Field(ge=-1, le=2**31)] | None = None
 
+    @model_validator(mode="after")
+    def _ended_in_one_way(self) -> Outcome:
+        if self.success and self.collision:
+            raise ValueError("has both success and collision, expected at most one")
+        return self
+
 
 class RolloutSidecar(Schema):
     """``meta/dualhead.json`` of recorded rollouts."""
@@ -103,7 +109,7 @@ def read_sidecar(root: Path) -> dict[str, Any]:
     """
     if not (root / SIDECAR).is_file():
         return {}
-    return _content(root / SIDECAR, DatasetSidecar, "a description of recorded demonstrations")
+    return _content(root / SIDECAR, DatasetSidecar, "a description of recorded demonstrations", REMEDY)
 
 
 def read_rollout_sidecar(path: Path) -> dict[str, Any]:
@@ -113,7 +119,8 @@ def read_rollout_sidecar(path: Path) -> dict[str, Any]:
         FileNotFoundError: If there is no such file.
         ValueError: If the file is damaged or of another kind.
     """
-    content = _content(path, RolloutSidecar, "a description of recorded rollouts")
+    remedy = "not a dataset of recorded rollouts, record one with `dualhead evaluate --policy ... --record DIR`"
+    content = _content(path, RolloutSidecar, "a description of recorded rollouts", remedy)
     seeds = [outcome["seed"] for outcome in content["outcomes"]]
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"{path} holds an episode's seed twice, expected each episode once: record the rollouts again")
@@ -125,6 +132,6 @@ def read_rollout_sidecar(path: Path) -> dict[str, Any]:
     return content
 
 
-def _content[T: Schema](path: Path, schema: type[T], kind: str) -> dict[str, Any]:
-    checked = read_validated(path, schema, kind=kind, remedy=REMEDY)
+def _content[T: Schema](path: Path, schema: type[T], kind: str, remedy: str) -> dict[str, Any]:
+    checked = read_validated(path, schema, kind=kind, remedy=remedy)
     return TypeAdapter(schema).dump_python(checked, exclude_unset=True)

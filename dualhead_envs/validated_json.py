@@ -73,20 +73,29 @@ def read_json(path: Path, *, kind: str, remedy: str) -> Any:
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path} has {path.stat().st_size} bytes, expected {kind} of at most {MAX_BYTES}: {remedy}")
     try:
-        document = json.loads(
-            path.read_bytes().decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique
-        )
-    except RecursionError as error:
-        raise ValueError(f"{path} is nested too deeply, expected {kind}: {remedy}") from error
-    except json.JSONDecodeError as error:
-        where = f"line {error.lineno}, column {error.colno}"
-        raise ValueError(f"{path} is truncated or not JSON ({where}), expected {kind}: {remedy}") from error
+        text = path.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is not JSON (byte {error.start} is not UTF-8), expected {kind}: {remedy}") from error
+    return parse_json(text, source=str(path), kind=kind, remedy=remedy)
+
+
+def parse_json(text: str, *, source: str, kind: str, remedy: str) -> Any:
+    """The JSON document in ``text``; see :func:`read_json`.
+
+    Raises:
+        ValueError: If it is no such document.
+    """
+    try:
+        document = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
+    except RecursionError as error:
+        raise ValueError(f"{source} is nested too deeply, expected {kind}: {remedy}") from error
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise ValueError(f"{source} is truncated or not JSON ({where}), expected {kind}: {remedy}") from error
     except ValueError as error:
-        raise ValueError(f"{path} {error}, expected {kind}: {remedy}") from error
+        raise ValueError(f"{source} {error}, expected {kind}: {remedy}") from error
     if _depth(document) > MAX_DEPTH:
-        raise ValueError(f"{path} is nested deeper than {MAX_DEPTH}, expected {kind}: {remedy}")
+        raise ValueError(f"{source} is nested deeper than {MAX_DEPTH}, expected {kind}: {remedy}")
     return document
 
 

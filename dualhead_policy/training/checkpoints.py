@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from lerobot.common.train_utils import get_step_checkpoint_dir, save_checkpoint
@@ -19,6 +19,7 @@ from lerobot.utils.constants import CHECKPOINTS_DIR, LAST_CHECKPOINT_LINK, PRETR
 from safetensors import SafetensorError
 
 from dualhead_envs.atomic_files import not_written, sync_tree
+from dualhead_envs.validated_json import read_validated
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 
 #: What a checkpoint says of its training windows, beside LeRobot's training state.
@@ -33,6 +34,8 @@ class WindowOrigin:
         dataset: Fingerprint of the training split.
         fresh_paths: Whether new ring paths are drawn at every step.
     """
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
 
     dataset: str
     fresh_paths: bool = False
@@ -134,10 +137,8 @@ def window_origin(checkpoint: Path) -> WindowOrigin | None:
     path = checkpoint / TRAINING_STATE_DIR / WINDOW_SOURCE_FILE
     if not path.is_file():
         return None
-    try:
-        return WindowOrigin(**json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{path} is damaged ({error}): resume from another checkpoint, or train again") from error
+    remedy = "resume from another checkpoint, or train again"
+    return read_validated(path, WindowOrigin, kind="a description of training windows", remedy=remedy)
 
 
 def had_fresh_paths(checkpoint: Path) -> bool:

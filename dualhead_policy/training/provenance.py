@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import draccus
 import numpy as np
+from pydantic import Field
 
+from dualhead_envs.validated_json import OpenSchema, read_validated
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.training.checkpoints import had_fresh_paths
+from dualhead_policy.training.training_log import LOG_FILE, read_training_log
 
 #: Relative change of the loss, from one tenth of the log to the next, below which it counts as plateaued.
 PLATEAU_CHANGE = 0.01
+
+
+class TrainingBudget(OpenSchema):
+    """What a gate file says of a run, from LeRobot's ``train_config.json``."""
+
+    batch_size: Annotated[int, Field(ge=1)] | None = None
+    steps: Annotated[int, Field(ge=1)] | None = None
+    seed: int | None = None
 
 
 def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
@@ -47,17 +57,17 @@ def training_summary(folder: Path) -> dict[str, Any]:
     summary: dict[str, Any] = {}
     configuration = folder / "train_config.json"
     if configuration.is_file():
-        content = json.loads(configuration.read_text(encoding="utf-8"))
-        summary = {name: content.get(name) for name in ("batch_size", "steps", "seed")}
+        kind = "a training configuration"
+        remedy = "copy the checkpoint again, or delete the file"
+        summary = read_validated(configuration, TrainingBudget, kind=kind, remedy=remedy).model_dump()
         summary["fresh_paths"] = had_fresh_paths(folder.parent)
-    log = folder.parents[2] / "training_log.jsonl" if len(folder.parents) >= 3 else None
-    if log is None or not log.is_file():
-        return summary
-    lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines() if line]
+    log = folder.parents[2] / LOG_FILE if len(folder.parents) >= 3 else None
+    lines = [] if log is None else read_training_log(log)
     if not lines:
         return summary
-    judged = "flow_loss" if all("flow_loss" in line for line in lines) else "loss"
-    losses = [line[judged] for line in lines]
+    flow_losses = [line.flow_loss for line in lines if line.flow_loss is not None]
+    judged = "flow_loss" if len(flow_losses) == len(lines) else "loss"
+    losses = flow_losses if judged == "flow_loss" else [line.loss for line in lines]
     tenth = max(1, len(losses) // 10)
     last = float(np.mean(losses[-tenth:]))
     before = float(np.mean(losses[-2 * tenth : -tenth])) if len(losses) >= 2 * tenth else None

@@ -9,10 +9,9 @@ from typing import Any
 import torch
 from lerobot.common.train_utils import load_training_state, should_save_checkpoint
 from lerobot.configs.train import TrainPipelineConfig
-from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.optim.factory import make_optimizer_and_scheduler
 from lerobot.policies import make_policy
-from lerobot.utils.constants import CHECKPOINTS_DIR, PRETRAINED_MODEL_DIR
+from lerobot.utils.constants import CHECKPOINTS_DIR, PRETRAINED_MODEL_DIR, TRAINING_STATE_DIR
 from lerobot.utils.random_utils import set_seed
 
 from dualhead_envs.dataset_frames import SplitFrames, read_split
@@ -29,6 +28,7 @@ from dualhead_policy.training.checkpoints import (
     window_origin,
     write_checkpoint,
 )
+from dualhead_policy.training.dataset_metadata import open_metadata
 from dualhead_policy.training.run_folder import clear_false_start
 from dualhead_policy.training.training_log import LOG_FILE, TrainingLog
 from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
@@ -59,7 +59,7 @@ class Training:
         seed = cfg.seed if cfg.seed is not None else 0
         set_seed(seed)
         frames = read_split(cfg.dataset.root or "")
-        meta = LeRobotDatasetMetadata(cfg.dataset.repo_id, root=cfg.dataset.root)
+        meta = open_metadata(cfg.dataset.repo_id, frames)
         # Resuming and fine-tuning load weights, and LeRobot announces each on standard output.
         policy = make_policy(cfg.policy, ds_meta=meta)
         assert isinstance(policy, DualheadPolicy)
@@ -75,9 +75,7 @@ class Training:
         self.step = 0
         if cfg.resume:
             assert cfg.checkpoint_path is not None
-            self.step, self.optimizer, self.scheduler = load_training_state(
-                cfg.checkpoint_path, self.optimizer, self.scheduler
-            )
+            self._resume(cfg.checkpoint_path)
             fresh_paths = self._resumed_source(cfg.checkpoint_path, frames, fresh_paths)
         self.origin = WindowOrigin(frames.fingerprint, fresh_paths)
         self.source: WindowSource
@@ -85,6 +83,22 @@ class Training:
             self.source = self._fresh_paths(frames.sidecar, seed)
         else:
             self.source = RecordedWindows(frames, self.policy, self.processors[0], cfg.batch_size, seed)
+
+    def _resume(self, checkpoint: Path) -> None:
+        """Load optimiser, schedule, random state and step, which must be those of the checkpoint's policy."""
+        remedy = "resume from another checkpoint, or train again"
+        try:
+            self.step, self.optimizer, self.scheduler = load_training_state(checkpoint, self.optimizer, self.scheduler)
+        # LeRobot passes on what its files' readers and torch raise.
+        except Exception as error:
+            raise ValueError(
+                f"{checkpoint / TRAINING_STATE_DIR} is damaged ({type(error).__name__} while loading it): {remedy}"
+            ) from error
+        if self.step != int(self.policy.training_step):
+            raise ValueError(
+                f"{checkpoint / TRAINING_STATE_DIR} is of step {self.step}, its policy of step "
+                f"{int(self.policy.training_step)}, expected the same: {remedy}"
+            )
 
     def _resumed_source(self, checkpoint: Path, frames: SplitFrames, fresh_paths: bool) -> bool:
         """Whether the run that wrote ``checkpoint`` drew fresh paths; refuses other data than it began with."""

@@ -6,13 +6,54 @@ import json
 import os
 import time
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from dualhead_envs.atomic_files import write_atomically
+from dualhead_envs.validated_json import parse_json, validated
 
 LOG_FILE = "training_log.jsonl"
 #: One line summarises this many steps at most.
 LOG_EVERY = 200
+
+
+class LogLine(BaseModel):
+    """One line of the log: means over the steps since the line before.
+
+    Attributes:
+        step: Last step of the mean.
+        loss: Total loss.
+        flow_loss: The flow-matching losses' share of it; None in logs of before it was written.
+        steps_per_second: Speed.
+    """
+
+    # What is measured beside the losses differs from policy to policy.
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, frozen=True)
+
+    step: Annotated[int, Field(ge=1)]
+    loss: float
+    flow_loss: float | None = None
+    steps_per_second: Annotated[float, Field(ge=0)] = 0.0
+
+
+def read_training_log(path: Path) -> list[LogLine]:
+    """The whole lines of a log, in order; none if there is no log.
+
+    Raises:
+        ValueError: If a line is damaged, or the steps do not increase.
+    """
+    lines = []
+    remedy = "train again, or move the log away"
+    for number, text in enumerate(_whole_lines(path), start=1):
+        source = f"{path}, line {number},"
+        document = parse_json(text, source=source, kind="a line of a training log", remedy=remedy)
+        lines.append(validated(document, LogLine, source=source, remedy=remedy))
+        if len(lines) > 1 and lines[-1].step <= lines[-2].step:
+            raise ValueError(
+                f"{source} is of step {lines[-1].step} after step {lines[-2].step}, expected a later one: {remedy}"
+            )
+    return lines
 
 
 class TrainingLog:
@@ -27,7 +68,9 @@ class TrainingLog:
 
     def __init__(self, path: Path, step: int):
         self.path = path
-        kept = [line for line in _whole_lines(path) if json.loads(line)["step"] <= step]
+        kept = [
+            text for text, line in zip(_whole_lines(path), read_training_log(path), strict=True) if line.step <= step
+        ]
         write_atomically(path, "".join(line + "\n" for line in kept))
         self._losses: list[tuple[float, float]] = []
         self._measured: dict[str, dict[str, float]] = {}
@@ -68,4 +111,7 @@ class TrainingLog:
 def _whole_lines(path: Path) -> list[str]:
     if not path.is_file():
         return []
-    return [line for line in path.read_text(encoding="utf-8").split("\n")[:-1] if line]
+    try:
+        return [line for line in path.read_text(encoding="utf-8").split("\n")[:-1] if line]
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not a training log (not UTF-8): train again, or move it away") from error

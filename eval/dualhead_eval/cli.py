@@ -18,6 +18,8 @@ COMMANDS = {
     "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
     "demo": ("dualhead_eval.commands.demo", "the whole pipeline in minutes: record, train, evaluate, report"),
 }
+#: Environment variable with which an unexpected error shows its traceback.
+TRACEBACK = "DUALHEAD_TRACEBACK"
 # OSError: what is missing, occupied, locked by another process or full.
 USER_ERRORS = (ValueError, KeyError, OSError)
 
@@ -43,14 +45,42 @@ def run_command(module_name: str, prog: str, arguments: list[str]) -> int:
         if _was_interrupted(error):
             print("dualhead: interrupted", file=sys.stderr)
             return 130
-        if not isinstance(error, USER_ERRORS):
+        if isinstance(error, USER_ERRORS):
+            print(f"dualhead: error: {one_line(_sentence(error))}", file=sys.stderr)
+            return 2
+        if os.environ.get(TRACEBACK):
             raise
-        print(f"dualhead: error: {_sentence(error)}", file=sys.stderr)
-        return 2
+        print(f"dualhead: unexpected error: {_unexpected(error)}", file=sys.stderr)
+        return 70
+
+
+def one_line(message: object) -> str:
+    r"""A message on one line, with every control code written out: it may quote a file.
+
+    >>> print(one_line("two\nlines and a \x1b[2J"))
+    two lines and a \x1b[2J
+    """
+    words = " ".join(str(message).split())
+    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in words)
+
+
+def _unexpected(error: BaseException) -> str:
+    """What to say of an error that no user should be able to cause: where it was raised, and how to see more."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = f" in {os.path.basename(trace.tb_frame.f_code.co_filename)}, line {trace.tb_lineno}" if trace else ""
+    return (
+        f"{type(error).__name__}{where} ({one_line(error)[:200]}): please report it with the command that you ran; "
+        f"{TRACEBACK}=1 shows the traceback"
+    )
 
 
 def _parse_and_run(module_name: str, prog: str, arguments: list[str]) -> int:
     """Parse ``arguments`` as a command module defines them, and run it."""
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        if argument == "" or (argument.startswith("--") and argument.endswith("=")):
+            raise ValueError(f"{argument.rstrip('=') or before or 'an argument'} is empty: give it a value")
     module = importlib.import_module(module_name)
     parser = argparse.ArgumentParser(prog=prog, description=getattr(module, "DESCRIPTION", None), allow_abbrev=False)
     module.add_arguments(parser)

@@ -7,7 +7,15 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    "name", ["effects.contingency", "effects.counts", "effects.dependence", "certificate.certificate"]
+    "name",
+    [
+        "effects.contingency",
+        "effects.counts",
+        "effects.dependence",
+        "certificate.certificate",
+        "cli",
+        "gate.consistency",
+    ],
 )
 def test_docstring_examples(name):
     module = importlib.import_module(f"dualhead_eval.{name}")

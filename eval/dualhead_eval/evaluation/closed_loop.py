@@ -21,9 +21,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
+from dualhead_envs.recorded_environment import make_recorded
 from dualhead_envs.recording.staging import publish, staging_folder
 from dualhead_eval.certificate.wrapper import CERTIFICATE_FEATURES, CertificateWrapper, certificate_columns
 from dualhead_eval.evaluation.decisions import OBSERVATIONS, Decisions, held_pairs
@@ -96,7 +96,7 @@ def record_rollouts(
             "control='pose' executes the orientation head, which this policy lacks: choose 'joint' or 'position', or "
             "train with --policy.rotation_head=true"
         )
-    env = gym.make(f"dualhead_envs:{env_id}", **env_kwargs)
+    env = make_recorded(env_id, env_kwargs, "the dataset")
     layout = env.unwrapped.layout  # type: ignore[attr-defined]
     expected = RepresentationLayout.from_names(layout.action_names)
     policy.representation.require_same(expected, owner="the policy", given=f"environment {env_id}")

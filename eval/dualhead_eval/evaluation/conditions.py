@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from dualhead_envs.dataset_frames import SplitFrames, read_split
+from dualhead_envs.recorded_environment import make_recorded
 from dualhead_eval.evaluation.labelled_pairs import ModePartition
 from dualhead_eval.residuals.distances import mode_direction
 
@@ -78,7 +78,7 @@ def open_conditions(root: str | Path, limit: int | None = None) -> ConditionBank
     bank = ConditionBank(
         observation=conditions.observation,
         pair_ids=conditions.pair,
-        partition=environment_partition(env_id, env_kwargs),
+        partition=environment_partition(env_id, env_kwargs, str(frames.root)),
         kinematic_map=frames.sidecar["layout"],
         target_probabilities=frames.sidecar.get("mode_probabilities"),
         direction=None if windows is None else mode_direction(windows),
@@ -110,9 +110,13 @@ def recorded_environment(frames: SplitFrames) -> tuple[str, dict[str, Any]]:
     return env_id, frames.sidecar.get("env_kwargs", {})
 
 
-def environment_partition(env_id: str, env_kwargs: Mapping[str, Any]) -> ModePartition:
-    """The mode partition of an environment."""
-    env = gym.make(f"dualhead_envs:{env_id}", disable_env_checker=True, **env_kwargs)
+def environment_partition(env_id: str, env_kwargs: Mapping[str, Any], source: str) -> ModePartition:
+    """The mode partition of an environment that a recording named.
+
+    Raises:
+        ValueError: If there is no such environment, or it does not take these arguments.
+    """
+    env = make_recorded(env_id, env_kwargs, source)
     partition = env.unwrapped.mode_partition  # type: ignore[attr-defined]
     env.close()
     return partition

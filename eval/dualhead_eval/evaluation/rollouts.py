@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from dualhead_envs.dataset_sidecar import SIDECAR, read_rollout_sidecar
 from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, make_gate
 from dualhead_eval.gate.gate import ROLLOUTS, Gate
 from dualhead_eval.statistics.interval import Interval
@@ -97,16 +98,9 @@ def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
     """
     path = Path(path)
     file = path / "meta" / "dualhead.json" if path.is_dir() else path
-    if not file.is_file():
-        raise FileNotFoundError(f"{file} does not exist: give what `dualhead evaluate --record` wrote")
-    try:
-        sidecar = json.loads(file.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is not complete JSON ({error}): record the rollouts again") from error
-    known = isinstance(sidecar, dict) and sidecar.get("format") == ROLLOUTS_FORMAT
-    loop = closed_loop_of(sidecar) if known else None
-    if loop is None:
-        raise ValueError(f"{file} holds no outcomes of rollouts: give what `dualhead evaluate --record` wrote")
+    sidecar = read_rollout_sidecar(file)
+    loop = closed_loop_of(sidecar)
+    assert loop is not None
     name = path.name.removesuffix(ROLLOUTS_SUFFIX)
     step = sidecar.get("policy", {}).get("training_step")
     return (f"{name}, {step} steps" if step else name), loop
@@ -124,23 +118,18 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
     # Reading outcomes alone, as a report does, needs none of these.
     import torch
 
-    from dualhead_envs.dataset_frames import read_columns
+    from dualhead_envs.dataset_columns import read_columns, read_info
     from dualhead_eval.evaluation.conditions import environment_partition
     from dualhead_policy.kinematics.kinematic_map import KinematicMap
 
     root = Path(root)
-    info_path, sidecar_path = root / "meta" / "info.json", root / "meta" / "dualhead.json"
-    if not info_path.is_file():
-        raise FileNotFoundError(f"{root} is not a LeRobotDataset (no meta/info.json): give a rollout dataset")
-    info = json.loads(info_path.read_text())
-    sidecar = json.loads(sidecar_path.read_text()) if sidecar_path.is_file() else {}
+    info, sidecar = read_info(root), read_rollout_sidecar(root / SIDECAR)
     keys = ["prediction.joint", "prediction.position", "prediction.decision"]
     missing = [key for key in keys if key not in info["features"]]
-    if missing or sidecar.get("format") != ROLLOUTS_FORMAT:
+    if missing:
         raise ValueError(
-            f"{root} is not a dataset of recorded rollouts (lacks "
-            f"{missing or ROLLOUTS_FORMAT + ' in meta/dualhead.json'}): "
-            "record one with `dualhead evaluate --policy ... --record DIR`"
+            f"{root} is not a dataset of recorded rollouts (lacks {missing}): record one with `dualhead evaluate "
+            "--policy ... --record DIR`"
         )
     columns = read_columns(root, info, [*keys, "observation.environment_state", "episode_index"])
     decision = columns["prediction.decision"].reshape(-1).astype(bool)
@@ -149,14 +138,25 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
     n, held, horizon = sidecar["samples"], sidecar.get("held_pairs"), sidecar["horizon"]
     if held is None or held >= n:
         raise ValueError(
-            f"{sidecar_path} has held_pairs={held} of samples={n}, expected how many pairs of a decision follow the "
+            f"{root / SIDECAR} has held_pairs={held} of samples={n}, expected how many pairs of a decision follow the "
             "episode's token or latent, and fresh pairs beside them: record the rollouts again"
+        )
+    partition = environment_partition(sidecar["env_id"], sidecar["env_kwargs"], str(root))
+    if json.loads(json.dumps(partition.to_dict())) != sidecar["partition"]:
+        raise ValueError(
+            f"{root / SIDECAR} describes another partition than its environment has: record the rollouts again with "
+            "this version"
         )
 
     def chunks(key: str) -> np.ndarray:
-        return columns[key][decision].reshape(int(decision.sum()), n, horizon, -1)[:, held:]
+        values = columns[key][decision]
+        if values.shape[1] % (n * horizon) or not np.isfinite(values).all():
+            raise ValueError(
+                f"{root} holds {key} of {values.shape[1]} numbers or some that are not finite, expected {n} chunks of "
+                f"{horizon} actions: record the rollouts again"
+            )
+        return values.reshape(len(values), n, horizon, -1)[:, held:]
 
-    partition = environment_partition(sidecar["env_id"], sidecar["env_kwargs"])
     condition = columns["observation.environment_state"][decision]
     joint = torch.from_numpy(chunks("prediction.joint")).double()
     pairs = LabelledPairs.from_paths(

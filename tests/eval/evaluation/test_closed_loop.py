@@ -31,6 +31,12 @@ def sidecar(successes, failures, *, control="joint", **more):
         "format": "dualhead-rollouts/1",
         "env_id": "BimodalBypass-v2",
         "env_kwargs": {"control": control},
+        "layout": "panda",
+        "horizon": 16,
+        "samples": 2,
+        "num_inference_steps": 20,
+        "seed": 0,
+        "partition": {"name": "bypass-v2", "n_modes": 2, "tau": 0.11, "parameters": {}},
         "outcomes": outcomes,
         **more,
     }
@@ -55,6 +61,27 @@ def test_a_copy_of_the_outcomes_is_reported_like_the_rollouts(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert shown.count("90.0% [59.6,98.2]") == 2
     assert "oracle, 50000 steps" in shown
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"outcomes": []}, "outcomes"),
+        ({"outcomes": [{"seed": 0, "success": "yes", "collision": False, "mode": 0}]}, r"outcomes\.0\.success = 'yes'"),
+        ({"outcomes": [{"seed": 0, "success": True, "collision": True, "mode": 0}]}, "both success and collision"),
+        ({"outcomes": [{"seed": 0, "success": True, "collision": False, "mode": 0}] * 2}, "seed twice"),
+        ({"env_kwargs": {}}, r"env_kwargs\.control"),
+        ({"env_id": "os:system"}, "names no environment"),
+        ({"samples": 0}, "samples = 0"),
+        ({"format": "dualhead-dataset/1"}, "dualhead-rollouts/1"),
+        ({"colour": "red"}, "unknown field 'colour'"),
+    ],
+)
+def test_outcomes_that_cannot_be_are_refused(tmp_path, change, sentence):
+    path = tmp_path / "run.rollouts.json"
+    path.write_text(json.dumps(sidecar(3, 1) | change))
+    with pytest.raises(ValueError, match=sentence):
+        read_closed_loop(path)
 
 
 def test_two_processes_do_not_record_into_one_folder(trained, ring_data, tmp_path, capsys):

@@ -11,7 +11,9 @@ from dualhead_policy.training.provenance import training_summary
 
 
 def write_log(root, lines):
-    (root / "training_log.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (root / "training_log.jsonl").write_text(
+        "".join(json.dumps({"step": 200 * i} | line) + "\n" for i, line in enumerate(lines, 1))
+    )
     folder = root / "checkpoints" / "000100" / "pretrained_model"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
