@@ -97,6 +97,7 @@ class TimeSlice:
     """
 
     def __init__(self, pair: TwoModePair, time: float, resolution: Resolution):
+        self.time = time
         self.half_log_odds = pair.log_odds / 2
         s_a, s_b, s_ab = pair.at_time(time)
         root_a, root_b = np.linalg.cholesky(s_a), np.linalg.cholesky(s_b)

@@ -43,7 +43,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from dualhead_eval.penalised_reference.conditional_expectation import SIGNS, Resolution, TimeSlice
+from dualhead_eval.penalised_reference.conditional_expectation import NEGLIGIBLE, SIGNS, Resolution, TimeSlice
 from dualhead_eval.penalised_reference.two_mode_pair import TwoModePair
 
 #: Bound on what the iteration leaves, in units of the modes' half difference, and iterations at most.
@@ -71,6 +71,7 @@ class PenalisedOptimum:
         consistency_weight: float,
         resolution: Resolution | None = None,
     ):
+        self.pair = pair
         self.slice = TimeSlice(pair, time, resolution or Resolution())
         self.weight = consistency_weight * (1 - time) ** 2
         self.linear_a, self.linear_b = linear_part(pair, time, consistency_weight)
@@ -107,21 +108,34 @@ class PenalisedOptimum:
     def endpoint_a(self, x: np.ndarray) -> np.ndarray:
         """a_A (P, n_A) at centred noisy chunks x_t^A (P, n_A)."""
         white = x @ self.slice.whiten_a.T
-        expected = self.slice.sign_given_a(white)
-        values = expected[:, None] * self.c
-        nodes, weights = self.slice.spread_of_u()
+        values = self.slice.sign_given_a(white)[:, None] * self.c
         n = len(self.sigma)
-        for sign in SIGNS:
-            share = (1 + sign * expected) / 2
-            rows = np.flatnonzero(share > 1e-9)
-            if self.weight == 0 or len(rows) == 0:
-                continue
-            centre = self.slice.mean_u(white[rows], sign)
-            seen = sum(w * self._values_b(centre + node) for node, w in zip(nodes, weights, strict=True))
-            values[rows, :n] += self.weight * self.sigma * share[rows, None] * seen
+        if self.weight > 0:
+            values[:, :n] += self.weight * self.sigma * self._expected_values_b(white)
         values[:, :n] /= self.denominator
         values[:, n:] /= self.ratio
         return x @ self.linear_a.T + values @ self.right.T
+
+    def expected_b(self, x: np.ndarray) -> np.ndarray:
+        """What head A expects of head B's endpoint, P_A a_B (P, n_B), at centred noisy chunks x_t^A (P, n_A)."""
+        white = x @ self.slice.whiten_a.T
+        sign = self.slice.sign_given_a(white)[:, None]
+        noisy = x @ self.slice.regression_b.T
+        noisy += sign * (self.slice.time * (self.pair.half_b - self.slice.regression_b @ self.pair.half_a))
+        return noisy @ self.linear_b.T + self._expected_values_b(white) @ self.left[:, : len(self.sigma)].T
+
+    def _expected_values_b(self, white: np.ndarray) -> np.ndarray:
+        """P_A f_B (P, n) in the left singular vectors of G, at whitened chunks of head A."""
+        expected = self.slice.sign_given_a(white)
+        nodes, weights = self.slice.spread_of_u()
+        values = np.zeros((len(white), len(self.sigma)))
+        for sign in SIGNS:
+            share = (1 + sign * expected) / 2
+            rows = np.flatnonzero(share > NEGLIGIBLE)
+            centre = self.slice.mean_u(white[rows], sign)
+            for node, weight in zip(nodes, weights, strict=True):
+                values[rows] += weight * share[rows, None] * self._values_b(centre + node)
+        return values
 
     def _values_b(self, u: np.ndarray) -> np.ndarray:
         """f_B (P, n) in the left singular vectors of G."""

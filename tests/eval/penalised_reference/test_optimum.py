@@ -118,6 +118,17 @@ def test_no_function_of_a_heads_own_chunk_is_left_to_improve_it(beta):
             assert (np.abs(product.mean(axis=0)) < 4.5 * product.std(axis=0) / len(x) ** 0.5).all()
 
 
+@pytest.mark.parametrize("beta", [0.0, 0.5])
+def test_head_a_expects_of_head_b_what_a_regression_on_samples_finds(beta):
+    pair, time = two_modes(beta), 0.35
+    optimum = PenalisedOptimum(pair, time, 5.0)
+    *_, x_a, x_b = draw(pair, time, 20_000, seed=6)
+    error = optimum.endpoint_b(x_b) - optimum.expected_b(x_a)
+    for test in (np.ones(len(x_a)), *x_a.T, *np.tanh(2 * x_a).T):
+        product = error * test[:, None]
+        assert (np.abs(product.mean(axis=0)) < 4.5 * product.std(axis=0) / len(x_a) ** 0.5).all()
+
+
 def test_the_solution_does_not_depend_on_the_grid():
     pair, time, weight = two_modes(), 0.35, 3.0
     *_, x_a, x_b = draw(pair, time, 1_000, seed=1)

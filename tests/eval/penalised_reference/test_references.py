@@ -8,8 +8,11 @@ import torch
 
 from dualhead_envs.ring.generator import RingGenerator
 from dualhead_eval.cli import main
+from dualhead_eval.evaluation.conditions import open_conditions
 from dualhead_eval.exact_reference import ExactReference
 from dualhead_eval.gate.file import read_gate
+from dualhead_eval.penalised_reference.opening import open_reference
+from dualhead_eval.penalised_reference.optimum import PenalisedOptimum
 from dualhead_eval.penalised_reference.ring import PenalisedRingReference
 from dualhead_eval.penalised_reference.ring_law import matched_law
 from dualhead_eval.penalised_reference.robot import PenalisedRobotReference, chord_jacobian
@@ -103,6 +106,49 @@ def test_a_robots_samples_end_on_demonstrated_chunks(bypass):
         distance = np.abs(chunks.numpy()[:, :, None] - modes[:, None]).max(axis=(-2, -1))
         assert np.quantile(distance.min(axis=-1), 0.9) < 1e-3
         assert (np.bincount(distance.argmin(axis=-1).ravel(), minlength=2) > 20).all()
+
+
+def test_the_chord_stands_for_the_kinematics_in_head_as_decision(panda_data):
+    """Head A's best response under the Panda's own kinematics moves its endpoints, and hardly ever its mode.
+
+    At every step a_A minimises r |a - m_A|^2 + w |FK(a) - P_A a_B|^2, by Gauss-Newton, where P_A a_B is the optimum's.
+    """
+    conditions = open_conditions(panda_data / "test", 1)
+    reference = open_reference(panda_data / "test", conditions.observation, 3.0, 0.0, {})
+    samples, steps = 200, 10
+    pair, deviation = reference.pair(0), reference.joint_scale[1]
+    centre_a, centre_b = reference.joint[0].mean(axis=0), reference.position[0].mean(axis=0)
+    jacobian = torch.func.vmap(torch.func.jacfwd(reference.kinematics.position))
+
+    def image(chunk):
+        pose = torch.from_numpy(chunk * deviation + reference.joint_scale[0])
+        place = (reference.kinematics.position(pose).numpy() - reference.position_scale[0]) / reference.position_scale[
+            1
+        ]
+        slope = jacobian(pose.reshape(-1, 7)).numpy().reshape(*place.shape, 7)
+        return place, slope * deviation / reference.position_scale[1][:, None]
+
+    x = np.random.default_rng(0).standard_normal((samples, 16 * 7))
+    chord, moved = x.copy(), 0.0
+    for step in range(steps):
+        time, part = step / steps, 1 / (steps - step)
+        optimum = PenalisedOptimum(pair, time, 3.0)
+        w, centred = optimum.weight, x - time * centre_a.ravel()
+        expected = centre_b + optimum.expected_b(centred).reshape(samples, 16, 3)
+        own = PenalisedOptimum(pair, time, 0.0).endpoint_a(centred).reshape(samples, 16, 7) + centre_a
+        end = start = optimum.endpoint_a(centred).reshape(samples, 16, 7) + centre_a
+        for _ in range(3):
+            place, slope = image(end)
+            system = pair.loss_ratio * np.eye(7) + w * np.einsum("nhki,nhkj->nhij", slope, slope)
+            gradient = pair.loss_ratio * (end - own) + w * np.einsum("nhki,nhk->nhi", slope, place - expected)
+            end = end - np.linalg.solve(system, gradient[..., None])[..., 0]
+        moved = max(moved, float(np.abs(end - start).max()))
+        x = x + part * (end.reshape(samples, -1) - x)
+        chord_end = optimum.endpoint_a(chord - time * centre_a.ravel()) + centre_a.ravel()
+        chord = chord + part * (chord_end - chord)
+    sides = [np.sign((chunk - centre_a.ravel()) @ pair.half_a) for chunk in (x, chord)]
+    assert moved > 0.05
+    assert (sides[0] != sides[1]).mean() < 0.02
 
 
 def test_a_condition_that_was_not_demonstrated_is_refused(bypass):
