@@ -57,7 +57,11 @@ def mechanism_lines(config: DualheadConfig) -> list[str]:
 
 
 def model_card(
-    config: DualheadConfig, *, step: int, token_usage: list[float] | None, results: Mapping[str, float] | None = None
+    config: DualheadConfig,
+    *,
+    step: int,
+    token_usage: list[float] | None,
+    results: Mapping[str, float | str] | None = None,
 ) -> str:
     """The card's Markdown, with the metadata block of model hubs.
 
@@ -100,7 +104,10 @@ def model_card(
             lines.append("- The paper's window tokens (K = 2, v2): usage .674 / .326, mutual information .1717")
     if results:
         lines += ["", "## Protocol numbers", "", "| quantity | value |", "| --- | --- |"]
-        lines += [f"| {quantity} | {value:.4g} |" for quantity, value in results.items()]
+        lines += [
+            f"| {quantity} | {value if isinstance(value, str) else format(value, '.4g')} |"
+            for quantity, value in results.items()
+        ]
     lines += [
         "",
         "## Use",

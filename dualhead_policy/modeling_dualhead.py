@@ -108,7 +108,7 @@ class DualheadPolicy(PreTrainedPolicy):
         self.model.kinematics.save(save_directory)
         self.write_card(save_directory)
 
-    def write_card(self, folder: Path, results: Mapping[str, float] | None = None) -> Path:
+    def write_card(self, folder: Path, results: Mapping[str, float | str] | None = None) -> Path:
         """Write the model card, ``README.md``, into this policy's folder; returns its path.
 
         Args:
@@ -123,7 +123,7 @@ class DualheadPolicy(PreTrainedPolicy):
         """LeRobot's generic card says nothing about a plugin: this is the folder's own (``push_to_hub`` asks)."""
         return ModelCard(self._card())
 
-    def _card(self, results: Mapping[str, float] | None = None) -> str:
+    def _card(self, results: Mapping[str, float | str] | None = None) -> str:
         usage = None if self.model.tokens is None else self.model.tokens.marginal.tolist()
         return model_card(self.config, step=int(self.training_step), token_usage=usage, results=results)
 

@@ -7,12 +7,13 @@ from pathlib import Path
 from dualhead_eval.evaluation.samplers import EvaluatedSampler
 from dualhead_eval.gate import Gate
 from dualhead_eval.statistics.run_summary import residual_mm, summarise_run
+from dualhead_eval.statistics.training_record import training_record
 
 
-def card_numbers(gate: Gate) -> dict[str, float]:
+def card_numbers(gate: Gate) -> dict[str, float | str]:
     """What a card says of an evaluation: the first two heads at the reference threshold and integration steps."""
     summary = summarise_run(gate)
-    numbers = {
+    numbers: dict[str, float | str] = {
         "conditions": gate.n_conditions,
         "sample pairs per condition": int(gate.table()[0].sum()),
         "threshold tau": gate.reference_tau,
@@ -20,7 +21,8 @@ def card_numbers(gate: Gate) -> dict[str, float]:
         "valid-pair rate": summary.valid_rate,
         "capacity C": summary.capacity,
         "effect Delta": summary.delta,
-        "rho = Delta / C": summary.rho,
+        "rho = Delta / C": summary.rho if summary.rho == summary.rho else "undefined",
+        "training loss": training_record(gate).loss,
     }
     residual = residual_mm(gate)
     return numbers if residual is None else numbers | {"cross-head residual (mm)": residual}

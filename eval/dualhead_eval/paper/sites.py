@@ -51,10 +51,17 @@ class SiteComparison:
 
     @property
     def within_spread(self) -> bool | None:
-        """Whether our rho could be that of one more of the paper's seeds, None where it prints no spread."""
-        if self.spread is None or self.run.first.rho != self.run.first.rho:
+        """Whether our rho could be that of one more of the paper's seeds, None where it prints no spread.
+
+        Our rho is known up to its interval over conditions, the paper's spread is that of seeds on its own conditions:
+        ours is inside if the two meet.
+        """
+        rho, interval = self.run.first.rho, self.run.first.intervals["rho"]
+        if self.spread is None or rho != rho:
             return None
-        return self.run.first.rho in self.spread
+        if interval.low != interval.low:
+            return rho in self.spread
+        return bool(interval.low <= self.spread.high and interval.high >= self.spread.low)
 
     def paper_value(self, quantity: str) -> float | None:
         """The paper's printed value of a quantity, None where it prints none."""

@@ -19,7 +19,7 @@ def sites_table(report: Report) -> Table:
         Column("valid"),
         Column(RHO),
         Column("spread", f"where {RHO} of one more of the paper's seeds is expected (95%), in percent"),
-        Column("inside?"),
+        Column("inside?", f"whether our {RHO}, known up to its interval over conditions, can lie there"),
         Column("residual mm"),
         LOSS,
         Column("site", f"where the run lies in the attainable region ({_site_names()}; - negative, ? not assigned)"),

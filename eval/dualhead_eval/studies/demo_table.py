@@ -9,8 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from dualhead_eval.gate import Gate
-from dualhead_eval.report.table import RHO
+from dualhead_eval.report.table import LOSS, RHO
 from dualhead_eval.statistics.run_summary import RunSummary, summarise_run
+from dualhead_eval.statistics.training_record import training_record
 from dualhead_eval.studies.plan import PlannedRow
 
 Result = tuple[PlannedRow, Gate, Gate | None]
@@ -32,17 +33,18 @@ def story_table(results: Sequence[Result]) -> Group:
     table = Table(title="One motion, two heads: do they choose the same way?", title_justify="left", pad_edge=False)
     table.add_column("what the heads share", min_width=15)
     known = any(reference is not None for _, _, reference in results)
-    for name in ("valid", "C", "Δ", f"{RHO} [95% interval]", *([f"exact {RHO}"] if known else [])):
+    for name in ("valid", "C", "Δ", f"{RHO} [95% interval]", *([f"exact {RHO}"] if known else []), "loss"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("what it shows", min_width=30, overflow="fold")
     for row, trained, reference in results:
         line = summarise_run(trained)
         exact = [_exact(reference)] if known else []
-        table.add_row(row.title, *_numbers(line), *exact, _story(row, line), end_section=True)
+        loss = training_record(trained).loss
+        table.add_row(row.title, *_numbers(line), *exact, loss, _story(row, line), end_section=True)
     legend = Table.grid(padding=(0, 2))
     legend.add_column(no_wrap=True, style="bold")
     legend.add_column()
-    for name, meaning in COLUMNS if known else COLUMNS[:-1]:
+    for name, meaning in [*(COLUMNS if known else COLUMNS[:-1]), (LOSS.name, LOSS.meaning)]:
         legend.add_row(name, meaning)
     return Group(table, legend)
 
