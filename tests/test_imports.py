@@ -18,8 +18,9 @@ FOLDERS = {
 #: The rooms of each package, in the order of the pipeline: a module imports its own room and those above it.
 ROOMS = {
     "dualhead_envs": [
-        "atomic_files", "validated_json", "worker_processes", "space_tables", "layout", "dataset_frames",
-        "registration", "lerobot_config", "recording", "ring", "bypass", "lerobot_envs", "record", "record_command",
+        "atomic_files", "validated_json", "worker_processes", "space_tables", "layout", "dataset_columns",
+        "dataset_frames", "registration", "lerobot_config", "recording", "ring", "bypass", "lerobot_envs", "record",
+        "record_command",
     ],
     "dualhead_policy": [
         "quiet", "hub_folder", "representation", "sampling", "checkpoint_loading", "kinematics",
@@ -27,8 +28,8 @@ ROOMS = {
         "model", "flow", "fitting", "modeling_dualhead", "pretrained", "training",
     ],
     "dualhead_eval": [
-        "atomic_text", "exact_reference", "effects", "residuals", "gate", "statistics", "certificate", "paper",
-        "evaluation", "ensembles", "monitor", "report", "studies", "commands", "cli", "__main__",
+        "atomic_text", "exact_reference", "penalised_reference", "effects", "residuals", "gate", "statistics",
+        "certificate", "paper", "evaluation", "ensembles", "monitor", "report", "studies", "commands", "cli", "__main__",
     ],
 }  # fmt: skip
 #: Every package imports itself and those before it.

@@ -74,6 +74,7 @@ def test_protocol_numbers_reach_the_policys_card(trained, ring_data, tmp_path):
     rate = (gate.pair_table()[:, :2, :2].sum() / gate.pair_table().sum()).item()
     assert f"| valid-pair rate | {rate:.4g} |" in card
     assert "| sample pairs per condition | 8 |" in card
+    assert "| training loss | falling |" in card or "| training loss | settled |" in card
     assert set(before.splitlines()) <= set(card.splitlines())
 
 
