@@ -18,7 +18,7 @@ FOLDERS = {
 #: The rooms of each package, in the order of the pipeline: a module imports its own room and those above it.
 ROOMS = {
     "dualhead_envs": [
-        "atomic_files", "validated_json", "worker_processes", "space_tables", "layout", "dataset_columns",
+        "atomic_files", "validated_json", "worker_processes", "space_tables", "layout", "dataset_sidecar", "dataset_columns",
         "dataset_frames", "registration", "lerobot_config", "recording", "ring", "bypass", "lerobot_envs", "record",
         "record_command",
     ],
@@ -29,7 +29,8 @@ ROOMS = {
     ],
     "dualhead_eval": [
         "atomic_text", "exact_reference", "penalised_reference", "effects", "residuals", "gate", "statistics",
-        "certificate", "paper", "evaluation", "ensembles", "monitor", "report", "studies", "commands", "cli", "__main__",
+        "certificate", "paper", "evaluation", "ensembles", "monitor", "report", "studies", "commands", "cli",
+        "__main__",
     ],
 }  # fmt: skip
 #: Every package imports itself and those before it.
