@@ -1,4 +1,4 @@
-"""Where a command writes: the console of its tables, and files that it must not replace unasked."""
+"""The console of a command's tables, and the files that it must not replace unasked."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
 
     quiet_libraries()
     from dualhead_eval.report.content import make_report
-    from dualhead_eval.report.tables import effects_table
+    from dualhead_eval.report.effects_table import effects_table
     from dualhead_eval.report.terminal import render_table
 
     gate = {"rollouts": _rollouts, "record": _rolled_out}.get(use, _sampled)(args)

@@ -1,4 +1,4 @@
-"""Where the paper's printed numbers contradict each other, computed from the numbers themselves.
+"""Contradictions between the paper's printed numbers, computed from the numbers themselves.
 
 Every printed figure stands for the interval that rounds to it. A contradiction is reported only where no values inside
 these intervals agree, so that rounding alone never makes one.
@@ -27,7 +27,7 @@ Figures = dict[str, PaperNumber]
 
 @cache
 def contradictions(row: str) -> tuple[str, ...]:
-    """What is printed about a row, and about its seeds, and cannot be true together; empty if nothing is.
+    """Statements about a row and its seeds that cannot be true together; empty if there are none.
 
     Args:
         row: The paper's row, for example ``"v2/H episode token uniform"``.

@@ -1,4 +1,4 @@
-"""Which mechanism a gate file measured, read from its provenance, and the paper's row for it.
+"""The mechanism that a gate file measured, read from its provenance, and the paper's row for it.
 
 The paper names its rows by environment and family (tab:main, tab:v3, tab:maps, tab:toy-corner). A gate whose
 setting the paper did not run, for example a skewed ring prior, has no row.

@@ -1,4 +1,4 @@
-"""What ``dualhead report`` was given: gate files, recorded datasets, rollouts, and folders of them."""
+"""Inputs of a report: gate files, recorded datasets, rollouts, and folders of them."""
 
 from __future__ import annotations
 

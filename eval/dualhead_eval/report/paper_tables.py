@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dualhead_eval.effects.sites import SITE_NAMES
+from dualhead_eval.paper.setting import NOTHING, departures
 from dualhead_eval.paper.sites import SiteComparison
 from dualhead_eval.report.content import Report
 from dualhead_eval.report.table import LOSS, RHO, Cell, Column, Table, bounds, number
@@ -21,6 +22,7 @@ def sites_table(report: Report) -> Table:
         Column("spread", f"where {RHO} of one more of the paper's seeds is expected (95%), in percent"),
         Column("inside?", f"whether our {RHO}, known up to its interval over conditions, can lie there"),
         Column("residual mm"),
+        Column("departs in", "what of our training is not the paper's (sec:models)", text=True, detail=True),
         LOSS,
         Column("site", f"where the run lies in the attainable region ({_site_names()}; - negative, ? not assigned)"),
         Column("same?"),
@@ -46,6 +48,7 @@ def _site_line(c: SiteComparison) -> tuple[str | Cell, ...]:
         "-" if c.spread is None else bounds(c.spread, "+.1%"),
         "-" if c.within_spread is None else "yes" if c.within_spread else no,
         _both(c.run.residual_mm, c.paper_value("residual_mm"), ".1f"),
+        departures(c.run.training),
         c.run.training.loss,
         f"{c.site} / {c.paper_site}",
         "-" if c.agrees is None else "yes" if c.agrees else different,
@@ -59,6 +62,11 @@ def _notes(sites: tuple[SiteComparison, ...]) -> list[str]:
     notes.append(
         f"{same} of the {len(assigned)} runs whose row has a site lie there; {inside} of the {len(spread)} whose row "
         "has several seeds lie within their spread"
+    )
+    alike = sum(departures(c.run.training) == NOTHING for c in sites)
+    notes.append(
+        f"{alike} of the {len(sites)} runs were trained as the paper's in all that is known (network, noise, padding, "
+        "learning rate, batch size, steps); a page says in what each departs"
     )
     notes += [
         f"not {c.run.name} (loss {c.run.training.loss}): {_site(c.site)}, where the paper has {_site(c.paper_site)}"
@@ -124,13 +132,14 @@ def claims_table(report: Report) -> Table:
     columns = (
         Column("claim", text=True),
         Column("grade", text=True),
-        Column("seeds", "training seeds behind the grade", text=True),
+        Column("seeds", "training seeds behind the grade: how many, and which", text=True),
         LOSS,
         Column("evidence", text=True),
         Column("criterion", text=True, detail=True),
     )
     lines = tuple((g.claim, g.grade, g.seeds or "-", g.loss or "-", g.evidence, g.criterion) for g in report.claims)
-    return Table("The paper's claims on these runs", columns, lines)
+    notes = ("Graded at the operating point of this report; the paper's claims are about the reference point.",)
+    return Table("The paper's claims on these runs", columns, lines, notes=notes if report.reference_only else ())
 
 
 def _nothing(report: Report) -> tuple[str, ...]:

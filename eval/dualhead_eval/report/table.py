@@ -36,6 +36,9 @@ LOSS = Column(
 )
 
 
+READING = Column("reading", text=True)
+
+
 @dataclass(frozen=True)
 class Cell:
     """A cell that a reader should not miss."""

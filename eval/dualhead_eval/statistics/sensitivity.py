@@ -1,4 +1,4 @@
-"""How a run's effect moves with the threshold and the integration steps (app:sensitivity).
+"""Sensitivity curves: a run's effect against the threshold and the integration steps (app:sensitivity).
 
 Thresholds relabel the same samples; integration steps are separate samples. An effect without its threshold,
 integration steps and valid-pair rate cannot be read, so curves always carry all three.

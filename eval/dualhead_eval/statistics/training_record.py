@@ -26,7 +26,7 @@ NETWORK_FIELDS = (
 
 @dataclass(frozen=True)
 class TrainingRecord:
-    """What a gate's provenance says of the training behind it.
+    """A gate's account of the training behind it.
 
     Attributes:
         seed: Training seed, None where it is unknown.

@@ -5,8 +5,9 @@ import pytest
 from dualhead_eval.evaluation.rollouts import ClosedLoop
 from dualhead_eval.report import page, terminal
 from dualhead_eval.report.content import make_report
+from dualhead_eval.report.effects_table import effects_table
 from dualhead_eval.report.table import Column, Table
-from dualhead_eval.report.tables import effects_table, families_table, paper_tables, report_tables
+from dualhead_eval.report.tables import families_table, paper_tables, report_tables
 
 
 @pytest.fixture(scope="module")
