@@ -16,6 +16,7 @@ COMMANDS = {
     ),
     "evaluate": ("dualhead_eval.commands.evaluate", "sample a policy under test conditions into a gate file"),
     "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
+    "monitor": ("dualhead_eval.commands.monitor", "fit failure monitors on rollouts, score and report them"),
     "demo": ("dualhead_eval.commands.demo", "the whole pipeline in minutes: record, train, evaluate, report"),
 }
 #: Environment variable with which an unexpected error shows its traceback.

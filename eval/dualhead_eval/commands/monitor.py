@@ -1,0 +1,229 @@
+"""``dualhead monitor``: fit a failure monitor on recorded successes, score recorded episodes, report the detection."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dualhead_eval.monitor.decision import Episode
+    from dualhead_eval.monitor.recorded_episodes import RecordedEpisodes
+
+DESCRIPTION = """\
+Runtime failure monitors on recorded rollouts of a two-head policy.
+
+  dualhead evaluate --policy P --dataset D/test --record R/calibration --samples 16 --episodes 200 --output c.gate.json
+  dualhead monitor fit R/calibration --signals residual residual_matched --output M
+  dualhead monitor score R/nominal R/pushed --monitor M --flag-data D/train --output run.scores.parquet
+  dualhead monitor report run.scores.parquet --output report.html
+
+With --policy, fit and score put another policy's predictions on the recorded observations, so that one recording
+serves every monitored policy. Signals, thresholds and measures: docs/monitor.md.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of ``dualhead monitor``."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    fit = actions.add_parser("fit", help="fit signals and thresholds on successful episodes")
+    score = actions.add_parser("score", help="read recorded episodes with a fitted monitor")
+    report = actions.add_parser("report", help="what the scores detect, as tables")
+    for action in (fit, score):
+        action.add_argument("rollouts", nargs="+", type=Path, metavar="DIR", help="folders of recorded rollouts")
+        action.add_argument("--policy", metavar="DIR", help="monitor this policy instead of the one that drove")
+        action.add_argument("--samples", type=int, help="with --policy: pairs per decision (default: as recorded)")
+        action.add_argument("--seed", type=int, default=0, help="seed of splits, networks and draws (default: 0)")
+        action.add_argument(
+            "--flag-data", type=Path, metavar="DIR", help="training split that says where two modes are open"
+        )
+    fit.add_argument(
+        "--signals", nargs="+", default=["residual"], metavar="NAME", help="the first one raises the alarm"
+    )
+    fit.add_argument("--aggregator", default="ewma-max", help="how scores add up over an episode (default: ewma-max)")
+    fit.add_argument("--threshold", default="conformal:episode", help="default: conformal:episode")
+    fit.add_argument("--alpha", type=float, default=0.05, help="rate of false alarms (default: 0.05)")
+    fit.add_argument(
+        "--train-data", type=Path, metavar="DIR", help="training split that signals of the observation learn from"
+    )
+    fit.add_argument("--only-successes", action="store_true", help="leave failed episodes out instead of refusing them")
+    fit.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder of the monitor")
+    score.add_argument("--monitor", type=Path, required=True, metavar="DIR", help="a fitted monitor")
+    score.add_argument("--output", type=Path, required=True, metavar="FILE", help="*.scores.parquet to write")
+    score.add_argument("--overwrite", action="store_true", help="replace the output file if it exists")
+    report.add_argument("scores", nargs="+", type=Path, metavar="FILE", help="*.scores.parquet or *.alarm.json files")
+    report.add_argument("--output", type=Path, metavar="FILE", help="HTML page to write")
+    report.add_argument("--alarms", type=Path, metavar="DIR", help="folder for the small *.alarm.json files to keep")
+    report.add_argument("--draws", type=int, default=2000, help="bootstrap draws (default: 2000)")
+    report.add_argument("--overwrite", action="store_true", help="replace output files that exist")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run one action.
+
+    Raises:
+        FileExistsError: If an output exists.
+        FileNotFoundError: If an input does not exist.
+        ValueError: If an input or option is unusable.
+    """
+    from dualhead_policy.quiet import quiet_libraries
+
+    quiet_libraries()
+    return {"fit": _fit, "score": _score, "report": _report}[args.action](args)
+
+
+def _fit(args: argparse.Namespace) -> int:
+    import numpy as np
+
+    from dualhead_envs.recording.staging import refuse_occupied
+    from dualhead_eval.monitor.monitor import Monitor
+    from dualhead_eval.monitor.monitor_file import save_monitor
+    from dualhead_eval.monitor.recorded_episodes import training_decisions
+
+    refuse_occupied(args.output)
+    monitor = Monitor(args.signals, args.aggregator, args.threshold)
+    recordings = _open(args)
+    episodes = [episode for recorded in recordings for episode in _episodes(args, recorded)]
+    kept = [episode for episode in episodes if episode.success or not args.only_successes]
+    training = training_decisions(args.train_data) if args.train_data else []
+    monitor.fit(kept, args.alpha, rng=np.random.default_rng(args.seed), training=training)
+    provenance = {
+        "rollouts": [str(path) for path in args.rollouts],
+        "policy": args.policy,
+        "seed": args.seed,
+        "left_out_failures": len(episodes) - len(kept),
+        "train_data": str(args.train_data) if args.train_data else None,
+    }
+    layout, samples = recordings[0].layout, _samples(args, recordings[0])
+    save_monitor(monitor, args.output, layout=layout, samples=samples, provenance=provenance)
+    for channel in monitor.channels:
+        limits = next(iter(channel.threshold.learned().values()))
+        print(f"{channel.signal.name}: threshold {_brief(limits)} {channel.signal.unit}; {channel.threshold.guarantee}")
+    print(f"monitor: {args.output}, fitted on {len(kept)} episodes")
+    return 0
+
+
+def _score(args: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from dualhead_eval.commands.console import refuse_overwrite
+    from dualhead_eval.monitor.monitor_file import load_monitor, require_layout
+    from dualhead_eval.monitor.scores_file import score_episodes, write_scores
+
+    refuse_overwrite([args.output], overwrite=args.overwrite)
+    monitor, document = load_monitor(args.monitor)
+    recordings = _open(args)
+    calibrated = {key.rpartition("/")[2] for key in document.calibration}
+    for recorded in recordings:
+        require_layout(document, recorded.layout, str(recorded.root))
+        if _samples(args, recorded) != document.samples:
+            raise ValueError(
+                f"{recorded.root} has {_samples(args, recorded)} pairs per decision and the monitor was fitted on "
+                f"{document.samples}, expected the same: record or sample as many"
+            )
+        shared = calibrated & {str(seed) for seed in recorded.seeds}
+        if shared:
+            raise ValueError(
+                f"{recorded.root} shares {len(shared)} seeds with the calibration episodes (the first: "
+                f"{min(shared)}), expected other initial states: record with another --seed"
+            )
+
+    def episodes() -> Iterator[Episode]:
+        for recorded in recordings:
+            yield from _episodes(args, recorded)
+
+    with tqdm(total=sum(map(len, recordings)), unit="episode", desc="scoring") as bar:
+        table = score_episodes(monitor, episodes(), bar.update)
+    limits = {c.signal.name: next(iter(c.threshold.learned().values())).tolist() for c in monitor.channels}
+    provenance: dict[str, Any] = {
+        "aggregator": document.aggregator,
+        "threshold": document.threshold,
+        "alpha": document.alpha,
+        "limits": {name: [x if abs(x) != float("inf") else None for x in values] for name, values in limits.items()},
+        "provenance": {
+            "monitor": document.model_dump(exclude={"calibration"}),
+            "rollouts": [str(path) for path in args.rollouts],
+            "policy": args.policy,
+            "seed": args.seed,
+        },
+    }
+    write_scores(table, args.output, provenance)
+    print(f"scores of {table.num_rows} decisions: {args.output}")
+    return 0
+
+
+def _report(args: argparse.Namespace) -> int:
+    from dualhead_eval.commands.console import open_console, refuse_overwrite
+    from dualhead_eval.monitor.detection.alarm_log import AlarmLog, alarm_log
+    from dualhead_eval.monitor.scores_file import read_scores
+    from dualhead_eval.report.monitor_page import monitor_page
+    from dualhead_eval.report.monitor_tables import monitor_tables
+    from dualhead_eval.report.terminal import render_table
+
+    if args.draws < 1:
+        raise ValueError(f"--draws {args.draws} is not positive: give at least 1")
+    labels = [path.name.partition(".")[0] for path in args.scores]
+    if len(set(labels)) < len(labels):
+        raise ValueError(f"two files have one name ({', '.join(labels)}), expected a name each: rename one")
+    kept = [] if args.alarms is None else [args.alarms / f"{label}.alarm.json" for label in labels]
+    refuse_overwrite([args.output, *kept], overwrite=args.overwrite)
+    logs = []
+    for path, label in zip(args.scores, labels, strict=True):
+        logs.append(AlarmLog.read(path) if path.suffix == ".json" else alarm_log(*read_scores(path), label))
+    tables = monitor_tables(logs, draws=args.draws)
+    console = open_console()
+    for table in tables:
+        console.print(render_table(table))
+    for log, path in zip(logs, kept, strict=bool(kept)):
+        log.write(path)
+        console.print(f"alarms: {path}")
+    if args.output is not None:
+        from dualhead_eval.atomic_text import write_text
+
+        write_text(args.output, monitor_page(tables))
+        console.print(f"page: {args.output}")
+    return 0
+
+
+def _open(args: argparse.Namespace) -> list[RecordedEpisodes]:
+    from dualhead_envs.dataset_frames import read_split
+    from dualhead_eval.monitor.branch_flag import BranchFlag
+    from dualhead_eval.monitor.recorded_episodes import open_rollouts
+
+    if args.samples is not None and (args.samples < 1 or not args.policy):
+        raise ValueError(f"--samples {args.samples} is for --policy and at least 1: leave it out, or give both")
+    flag: Callable | None = BranchFlag.from_split(read_split(args.flag_data)) if args.flag_data else None
+    recordings = [open_rollouts(path, flag=flag) for path in args.rollouts]
+    for recorded in recordings[1:]:
+        if recorded.layout != recordings[0].layout:
+            raise ValueError(
+                f"{recorded.root} has the layout {recorded.layout} and {recordings[0].root} {recordings[0].layout}, "
+                "expected one robot, horizon and observation: give rollouts of one environment"
+            )
+    names = [recorded.root.resolve().name for recorded in recordings]
+    if len(set(names)) < len(names):
+        raise ValueError(f"two folders have one name ({', '.join(names)}), expected a name each: rename one")
+    return recordings
+
+
+def _samples(args: argparse.Namespace, recorded: RecordedEpisodes) -> int:
+    return args.samples or recorded.samples
+
+
+def _episodes(args: argparse.Namespace, recorded: RecordedEpisodes) -> Iterable[Episode]:
+    if not args.policy:
+        return recorded
+    from dualhead_eval.monitor.resampling import resampled_episodes
+    from dualhead_policy.pretrained import load_policy
+
+    if not hasattr(args, "loaded"):
+        args.loaded = load_policy(args.policy)
+    policy, preprocess = args.loaded
+    return resampled_episodes(recorded, policy, preprocess, samples=_samples(args, recorded), seed=args.seed)
+
+
+def _brief(limits: Any) -> str:
+    shown = [f"{limit:.4g}" for limit in limits[:3]]
+    return ", ".join(shown) + (", ..." if len(limits) > 3 else "")
