@@ -23,7 +23,7 @@ from dualhead_policy.fitting.scales import fit_scales
 from dualhead_policy.fitting.tokens import new_tokens
 from dualhead_policy.flow.coupling import SharedDraws
 from dualhead_policy.flow.diagnostics import latent_sensitivity, teacher_forced_residuals
-from dualhead_policy.flow.draws import draw_step
+from dualhead_policy.flow.draws import StepDraws, draw_step
 from dualhead_policy.flow.episode_draws import EpisodeDraws
 from dualhead_policy.flow.loss import training_loss
 from dualhead_policy.flow.solver import condition_velocity, numpy_field, sample_chunks
@@ -173,8 +173,12 @@ class DualheadPolicy(PreTrainedPolicy):
         self, observation: Tensor, action: Tensor, token: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss of the current training step and its parts; see :func:`dualhead_policy.flow.loss.training_loss`."""
-        draws = draw_step(self.model, observation, action, has_tokens=token is not None, **self._draw_key())
+        draws = self.draw_step(observation, action, has_tokens=token is not None)
         return training_loss(self.model, observation, action, token, draws)
+
+    def draw_step(self, observation: Tensor, action: Tensor, *, has_tokens: bool) -> StepDraws:
+        """The draws of the current training step; see :func:`dualhead_policy.flow.draws.draw_step`."""
+        return draw_step(self.model, observation, action, has_tokens=has_tokens, **self._draw_key())
 
     def _draw_key(self) -> dict[str, int]:
         # Under accelerate every process sees other windows: their noise and times must differ too.

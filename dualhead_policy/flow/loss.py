@@ -3,18 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.flow.consistency import position_consistency, rotation_consistency
 from dualhead_policy.flow.draws import StepDraws, noisy_chunks
 from dualhead_policy.model.dualhead_model import HEADS, DualheadModel
 from dualhead_policy.model.latent import divergence_from_standard_normal, free_bits_penalty
 
 
+@dataclass(frozen=True)
+class LossWeights:
+    """The numbers of a configuration that enter the loss; tensors where runs that train as one differ in them."""
+
+    observation_noise: float | Tensor
+    token_replacement_prob: float | Tensor
+    token_null_prob: float | Tensor
+    kl_weight: float | Tensor
+    free_bits: float | Tensor
+    consistency_weight: float | Tensor
+    rotation_consistency_weight: float | Tensor
+
+    @classmethod
+    def of(cls, config: DualheadConfig) -> LossWeights:
+        """Those of a configuration, with no field left open."""
+        return cls(**{name: getattr(config, name) or 0.0 for name in cls.__dataclass_fields__})
+
+
 def training_loss(
-    model: DualheadModel, observation: Tensor, action: Tensor, token: Tensor | None, draws: StepDraws
+    model: DualheadModel,
+    observation: Tensor,
+    action: Tensor,
+    token: Tensor | None,
+    draws: StepDraws,
+    weights: LossWeights | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The training loss and its parts, already weighted; a deterministic function of its arguments.
 
@@ -27,10 +52,12 @@ def training_loss(
         action: Dual action windows (B, H, D) in physical units.
         token: Clean tokens (B,), or None.
         draws: Everything random.
+        weights: Numbers in place of those of the model's configuration, which still says what there is.
     """
     config = model.config
+    weights = weights or LossWeights.of(config)
     if draws.observation_noise is not None:
-        observation = observation + (config.observation_noise or 0.0) * draws.observation_noise
+        observation = observation + weights.observation_noise * draws.observation_noise
     chunks = noisy_chunks(model, observation, action, draws.time, draws.source)
     embedding = model.embed(observation)
     shared: dict[str, Tensor] = {}
@@ -42,8 +69,8 @@ def training_loss(
             token = model.tokens.corrupt(
                 token,
                 draws.corruption,
-                replacement_prob=config.token_replacement_prob,
-                null_prob=config.token_null_prob,
+                replacement_prob=weights.token_replacement_prob,
+                null_prob=weights.token_null_prob,
             )
     if draws.latent is not None and model.shared_latent is not None:
         latent = draws.latent
@@ -51,7 +78,7 @@ def training_loss(
             mean, deviation = infer_latent(model, action, embedding)
             latent = mean + deviation * latent
             divergence = divergence_from_standard_normal(mean, deviation)
-            shared["kl"] = config.kl_weight * free_bits_penalty(divergence, config.free_bits)
+            shared["kl"] = weights.kl_weight * free_bits_penalty(divergence, weights.free_bits)
     context = model.context(embedding, token if model.tokens is not None else None, latent)
     parts, endpoint = {}, {}
     for head in model.head_slices:
@@ -60,7 +87,7 @@ def training_loss(
         parts[head] = (velocity - (chunks.target[head] - chunks.source[head])).square().mean()
         if config.consistency_weight > 0 or config.rotation_consistency_weight > 0:
             endpoint[head] = model.clean_endpoint(head, noisy, chunks.time, velocity, observation)
-    parts |= shared | _consistency(model, endpoint)
+    parts |= shared | _consistency(model, endpoint, weights)
     if model.gripper is not None:
         command = action[..., model.layout.slices["gripper"]].squeeze(-1)
         parts["gripper"] = model.gripper.loss(observation, command)
@@ -80,16 +107,16 @@ def infer_latent(model: DualheadModel, action: Tensor, embedding: Tensor) -> tup
     return model.shared_latent.infer(torch.cat(seen, dim=-1), embedding)
 
 
-def _consistency(model: DualheadModel, endpoint: dict[str, Tensor]) -> dict[str, Tensor]:
+def _consistency(model: DualheadModel, endpoint: dict[str, Tensor], weights: LossWeights) -> dict[str, Tensor]:
     config, parts = model.config, {}
     if config.consistency_weight > 0:
         scale = model.action_scale.scale[model.head_slices["position"]]
         deviation = scale if config.consistency_norm == "normalized" else torch.ones_like(scale)
-        parts["consistency"] = config.consistency_weight * position_consistency(
+        parts["consistency"] = weights.consistency_weight * position_consistency(
             endpoint["joint"], endpoint["position"], model.kinematics.position, deviation
         )
     if config.rotation_consistency_weight > 0:
-        parts["rotation_consistency"] = config.rotation_consistency_weight * rotation_consistency(
+        parts["rotation_consistency"] = weights.rotation_consistency_weight * rotation_consistency(
             endpoint["joint"], endpoint["rotation"], model.kinematics.rotation
         )
     return parts

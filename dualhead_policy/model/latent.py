@@ -62,7 +62,7 @@ def divergence_from_standard_normal(mean: Tensor, deviation: Tensor) -> Tensor:
     return 0.5 * (mean.square() + deviation.square() - 1) - deviation.log()
 
 
-def free_bits_penalty(divergence: Tensor, free_bits: float) -> Tensor:
+def free_bits_penalty(divergence: Tensor, free_bits: float | Tensor) -> Tensor:
     """Sum over dimensions of the batch's mean divergence (B, dim), each at least ``free_bits`` nats.
 
     Below its free bits a dimension has no gradient (Kingma et al. 2016).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -77,9 +78,7 @@ class DualheadNetwork(nn.Module):
 
     def field(self, head: str) -> VelocityField:
         """The velocity field of ``head``."""
-        field = self.fields[head]
-        assert isinstance(field, VelocityField)
-        return field
+        return cast(VelocityField, self.fields[head])
 
     def velocity(self, head: str, x: Tensor, time: Tensor, modulation: Modulation, spread: Tensor) -> Tensor:
         """v_head(x_t, t, context) for flattened chunks.

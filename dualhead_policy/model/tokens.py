@@ -119,7 +119,12 @@ class TokenTable(nn.Module):
         return TokenCorruption(chance, self.draw(shape, "uniform", generator))
 
     def corrupt(
-        self, token: Tensor, corruption: TokenCorruption, *, replacement_prob: float, null_prob: float
+        self,
+        token: Tensor,
+        corruption: TokenCorruption,
+        *,
+        replacement_prob: float | Tensor,
+        null_prob: float | Tensor,
     ) -> Tensor:
         """Training-time corruption of tokens (B,).
 

@@ -135,15 +135,29 @@ class Training:
         """One optimiser step; returns the loss, and the flow-matching losses' share of it."""
         loss, parts = self.policy.compute_loss(batch.observation, batch.action, batch.token)
         loss.backward()
-        assert self.cfg.optimizer is not None
-        torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.cfg.optimizer.grad_clip_norm)
+        torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.grad_clip_norm)
         self.optimizer.step()
         self.optimizer.zero_grad()
+        self.advance()
+        return loss.item(), flow_loss(parts).item()
+
+    def advance(self) -> None:
+        """Count an optimiser step that has been made."""
         if self.scheduler is not None:
             self.scheduler.step()
         self.policy.update()
         self.step += 1
-        return loss.item(), flow_loss(parts).item()
+
+    @property
+    def grad_clip_norm(self) -> float:
+        """Largest gradient norm; what exceeds it is scaled down."""
+        assert self.cfg.optimizer is not None
+        return self.cfg.optimizer.grad_clip_norm
+
+    def share_windows(self, other: Training) -> None:
+        """Hold the windows in ``other``'s memory where both train on the same, so that many runs hold them once."""
+        if isinstance(self.source, RecordedWindows) and isinstance(other.source, RecordedWindows):
+            self.source.share(other.source)
 
     def save(self) -> Path:
         """Write a checkpoint of the current step; returns its ``pretrained_model`` folder."""

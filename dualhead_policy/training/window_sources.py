@@ -88,6 +88,13 @@ class RecordedWindows:
     def __len__(self) -> int:
         return len(self._sampler)
 
+    def share(self, other: RecordedWindows) -> None:
+        """Use ``other``'s arrays in place of equal ones of its own; the order of visits stays its own."""
+        for name in ("_observation", "_action", "_last_frame", "_token"):
+            own, theirs = getattr(self, name), getattr(other, name)
+            if own is not None and theirs is not None and torch.equal(own, theirs):
+                setattr(self, name, theirs)
+
     def batch(self, step: int) -> Batch:
         """The batch of training step ``step``."""
         epoch, offset = divmod(step, self.batches_per_epoch)

@@ -1,0 +1,66 @@
+"""Train many runs as one program: each draws, learns and saves what it would have alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from dualhead_policy.training.stacked.stacked_adam import StackedAdam
+from dualhead_policy.training.stacked.stacked_model import StackedModel
+from dualhead_policy.training.trainer import Training
+
+
+class StackedTraining:
+    """N training runs, ready to make steps together.
+
+    Every run keeps its own windows, order, draws, learning rate, clipping and checkpoints; weights, gradients and
+    moments are stacked. The runs' policies and optimisers see the stack's memory: they can be measured and saved at
+    any step.
+
+    Args:
+        trainings: The runs, of one stacking key (:mod:`.stacking_key`) and at one step.
+        compute_dtype: Type in which the velocity fields compute; weights, gradients and moments are float32.
+
+    Raises:
+        ValueError: If the runs are not at one step.
+    """
+
+    def __init__(self, trainings: Sequence[Training], *, compute_dtype: torch.dtype = torch.float32):
+        steps = sorted({training.step for training in trainings})
+        if len(steps) != 1:
+            raise ValueError(f"the runs of a stack are at steps {steps}, expected one: continue each alone")
+        for training in trainings[1:]:
+            training.share_windows(trainings[0])
+        self.trainings = trainings
+        self._model = StackedModel([training.policy.model for training in trainings], compute_dtype)
+        self._parameters = list(self._model.parameters.values())
+        self._optimizer = StackedAdam(
+            self._model.parameters,
+            [training.optimizer for training in trainings],
+            [training.grad_clip_norm for training in trainings],
+        )
+
+    @property
+    def step(self) -> int:
+        """Steps made so far."""
+        return self.trainings[0].step
+
+    def update(self) -> Tensor:
+        """One optimiser step of every run; returns losses and the flow-matching losses' share of them (2, N)."""
+        batches = [training.source.batch(self.step) for training in self.trainings]
+        draws = [
+            training.policy.draw_step(batch.observation, batch.action, has_tokens=batch.token is not None)
+            for training, batch in zip(self.trainings, batches, strict=True)
+        ]
+        loss, flow = self._model.losses(batches, draws)
+        gradients = torch.autograd.grad(loss.sum(), self._parameters, materialize_grads=True)
+        self._optimizer.step(gradients)
+        for training in self.trainings:
+            training.advance()
+        return torch.stack([loss.detach(), flow.detach()])
+
+    def prepare_saving(self) -> None:
+        """Bring what the runs' own optimisers save up to date."""
+        self._optimizer.write_counts()
