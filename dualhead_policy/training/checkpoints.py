@@ -62,33 +62,67 @@ def write_checkpoint(
         OSError: If it cannot be written, for example because the disk is full; the last complete checkpoint stands.
     """
     assert cfg.output_dir is not None
-    target = get_step_checkpoint_dir(Path(cfg.output_dir), cfg.steps, step)
-    staging = target.with_name(f".{target.name}.partial")
+    target = checkpoint_folder(cfg, step)
     with naming_what_stands(Path(cfg.output_dir), target):
         try:
-            shutil.rmtree(staging, ignore_errors=True)
-            save_checkpoint(
-                staging,
-                step=step,
-                cfg=cfg,
-                policy=policy,
-                optimizer=optimizer,
-                scheduler=scheduler,
-                preprocessor=processors[0],
-                postprocessor=processors[1],
-                num_processes=1,
-                batch_size=cfg.batch_size,
-            )
-            state = staging / TRAINING_STATE_DIR
-            (state / WINDOW_SOURCE_FILE).write_text(json.dumps(asdict(origin)), encoding="utf-8")
-            sync_tree(staging)
-            if target.exists():
-                shutil.rmtree(target)
-            os.replace(staging, target)
-            point_last_at(target)
+            stage_checkpoint(cfg, step, policy, optimizer, scheduler, processors, origin)
+            return publish_checkpoint(target)
         finally:
-            shutil.rmtree(staging, ignore_errors=True)
-    return target / PRETRAINED_MODEL_DIR
+            shutil.rmtree(staged(target), ignore_errors=True)
+
+
+def checkpoint_folder(cfg: TrainPipelineConfig, step: int) -> Path:
+    """Where a run's checkpoint of ``step`` belongs."""
+    assert cfg.output_dir is not None
+    return get_step_checkpoint_dir(Path(cfg.output_dir), cfg.steps, step)
+
+
+def staged(checkpoint: Path) -> Path:
+    """Where a checkpoint is assembled before it is published."""
+    return checkpoint.with_name(f".{checkpoint.name}.partial")
+
+
+def stage_checkpoint(
+    cfg: TrainPipelineConfig,
+    step: int,
+    policy: DualheadPolicy,
+    optimizer: torch.optim.Optimizer,
+    scheduler: Any,
+    processors: tuple[Any, Any],
+    origin: WindowOrigin,
+) -> None:
+    """Assemble the checkpoint that :func:`publish_checkpoint` puts into its place."""
+    staging = staged(checkpoint_folder(cfg, step))
+    shutil.rmtree(staging, ignore_errors=True)
+    save_checkpoint(
+        staging,
+        step=step,
+        cfg=cfg,
+        policy=policy,
+        optimizer=optimizer,
+        scheduler=scheduler,
+        preprocessor=processors[0],
+        postprocessor=processors[1],
+        num_processes=1,
+        batch_size=cfg.batch_size,
+    )
+    state = staging / TRAINING_STATE_DIR
+    (state / WINDOW_SOURCE_FILE).write_text(json.dumps(asdict(origin)), encoding="utf-8")
+    sync_tree(staging)
+
+
+def publish_checkpoint(checkpoint: Path) -> Path:
+    """Put a staged checkpoint into its place and point ``checkpoints/last`` at it; again, if a kill cut it short.
+
+    Returns:
+        The checkpoint's ``pretrained_model`` folder.
+    """
+    if staged(checkpoint).is_dir():
+        if checkpoint.exists():
+            shutil.rmtree(checkpoint)
+        os.replace(staged(checkpoint), checkpoint)
+    point_last_at(checkpoint)
+    return checkpoint / PRETRAINED_MODEL_DIR
 
 
 def point_last_at(checkpoint: Path) -> None:

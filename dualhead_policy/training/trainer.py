@@ -23,8 +23,10 @@ from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
 from dualhead_policy.processor_loading import load_processors
 from dualhead_policy.training.checkpoints import (
     WindowOrigin,
+    checkpoint_folder,
     naming_what_stands,
     point_last_at,
+    stage_checkpoint,
     window_origin,
     write_checkpoint,
 )
@@ -161,15 +163,33 @@ class Training:
 
     def save(self) -> Path:
         """Write a checkpoint of the current step; returns its ``pretrained_model`` folder."""
-        return write_checkpoint(
-            self.cfg,
-            self.step,
-            self.policy,
-            self.optimizer,
-            self.scheduler,
-            self.processors,
-            self.origin,
-        )
+        return write_checkpoint(*self._checkpoint())
+
+    def stage(self) -> Path:
+        """Assemble a checkpoint of the current step; returns the place that it has once it is published."""
+        stage_checkpoint(*self._checkpoint())
+        return checkpoint_folder(self.cfg, self.step)
+
+    def _checkpoint(self) -> tuple[Any, ...]:
+        return self.cfg, self.step, self.policy, self.optimizer, self.scheduler, self.processors, self.origin
+
+    def begin(self) -> TrainingLog:
+        """Prepare the run's folder for the steps to come; returns its log."""
+        cfg = self.cfg
+        assert cfg.output_dir is not None
+        output = Path(cfg.output_dir)
+        if cfg.resume:
+            assert cfg.checkpoint_path is not None
+            if cfg.checkpoint_path.parent.resolve() == (output / CHECKPOINTS_DIR).resolve():
+                point_last_at(cfg.checkpoint_path)  # later checkpoints belong to a future that is given up
+        else:
+            clear_false_start(output)
+        with naming_what_stands(output, output / LOG_FILE):
+            return TrainingLog(output / LOG_FILE, self.step)
+
+    def saves_now(self) -> bool:
+        """Whether a checkpoint is due at the current step."""
+        return self.cfg.save_checkpoint and should_save_checkpoint(self.step, self.cfg.save_freq, self.cfg.steps)
 
     def run(self, progress: Progress | None = None) -> Path:
         """Train to the configured number of steps, saving on the way.
@@ -187,17 +207,11 @@ class Training:
         cfg = self.cfg
         assert cfg.output_dir is not None
         output = Path(cfg.output_dir)
-        if cfg.resume:
-            assert cfg.checkpoint_path is not None
-            if self.step >= cfg.steps:
-                return cfg.checkpoint_path / PRETRAINED_MODEL_DIR
-            if cfg.checkpoint_path.parent.resolve() == (output / CHECKPOINTS_DIR).resolve():
-                point_last_at(cfg.checkpoint_path)  # later checkpoints belong to a future that is given up
-        else:
-            clear_false_start(output)
         log_file = output / LOG_FILE
-        with naming_what_stands(output, log_file):
-            log = TrainingLog(log_file, self.step)
+        if cfg.resume and self.step >= cfg.steps:
+            assert cfg.checkpoint_path is not None
+            return cfg.checkpoint_path / PRETRAINED_MODEL_DIR
+        log = self.begin()
         rate = self.policy.config.optimizer_lr
         saved: Path | None = None
         while self.step < cfg.steps:
@@ -214,7 +228,7 @@ class Training:
                 log.add(self.step, loss, flow)
             if progress is not None:
                 progress(self.step, loss)
-            if cfg.save_checkpoint and should_save_checkpoint(self.step, cfg.save_freq, cfg.steps):
+            if self.saves_now():
                 with naming_what_stands(output, log_file):
                     log.flush(self.step)
                 saved = self.save()

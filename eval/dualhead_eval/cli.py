@@ -14,6 +14,7 @@ COMMANDS = {
         "dualhead_policy.training.train_command",
         "train policies, many times faster than lerobot-train",
     ),
+    "sweep": ("dualhead_eval.commands.sweep", "train configurations x datasets x seeds as few programs, resumable"),
     "evaluate": ("dualhead_eval.commands.evaluate", "sample a policy under test conditions into a gate file"),
     "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
     "monitor": ("dualhead_eval.commands.monitor", "fit failure monitors on rollouts, score and report them"),

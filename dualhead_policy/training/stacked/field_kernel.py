@@ -33,23 +33,24 @@ class StackableField(nn.Module):
         super().__init__()
         self.compute_dtype = compute_dtype
         self.n_frequencies, self.conditioning = field.n_frequencies, field.conditioning
-        for name, module in field.named_children():
-            self.add_module(name, module)
+        self.input, self.hidden, self.output, self.side = field.input, field.hidden, field.output, field.side
+        self.bottleneck = field.bottleneck if field.conditioning == "film" else None
 
     def modulation(self, time: Tensor, context: Tensor) -> Modulation:
         """What enters every layer's modulation (B, S): the FiLM bottleneck's output, or time features and context."""
         features = time_features(time, self.n_frequencies).expand(*context.shape[:-1], -1)
         side = torch.cat([features, context], dim=-1)
-        return [self.bottleneck(side) if self.conditioning == "film" else side]
+        return [side if self.bottleneck is None else self.bottleneck(side)]
 
     def forward(self, x: Tensor, modulation: Modulation) -> Tensor:
         """Velocity (B, H * d) at the noisy chunk ``x`` (B, H * d)."""
         layers = [self.input, *self.hidden, self.output]
-        parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]
-        if self.conditioning == "film":
-            parameters += [parameter for layer in self.side for parameter in (layer.weight, layer.bias)]
-        else:
-            parameters.append(self.side[0].weight)
+        parameters = [
+            parameter
+            for layer in (*layers, *self.side)
+            for parameter in layer._parameters.values()
+            if parameter is not None
+        ]
         return _UnderVmap.apply(self.compute_dtype, len(layers), x, modulation[0], *parameters)
 
 

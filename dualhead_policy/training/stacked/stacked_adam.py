@@ -56,28 +56,22 @@ class StackedAdam:
         gradients = [gradient.contiguous() for gradient in gradients]
         self._clip(gradients)
         rates = [optimizer.param_groups[0]["lr"] for optimizer in self._optimizers]
-        stacks = (self._parameters, gradients, self._first, self._second)
+        stacks: list[Sequence[Tensor]] = [self._parameters, gradients, self._first, self._second]
         self._count += 1
         if len(set(rates)) == 1:
-            self._adam(*stacks, rate=rates[0])
+            self._adam(stacks, rates[0])
         else:
             for run, rate in enumerate(rates):
-                self._adam(*([tensor[run] for tensor in stack] for stack in stacks), rate=rate)
+                self._adam([[tensor[run] for tensor in stack] for stack in stacks], rate)
 
-    def _adam(
-        self,
-        parameters: Sequence[Tensor],
-        gradients: Sequence[Tensor],
-        first: Sequence[Tensor],
-        second: Sequence[Tensor],
-        rate: float,
-    ) -> None:
+    def _adam(self, stacks: Sequence[Sequence[Tensor]], rate: float) -> None:
+        parameters, gradients, first, second = (list(stack) for stack in stacks)
         options = self._optimizers[0].param_groups[0]
         torch._fused_adam_(
-            list(parameters),
-            list(gradients),
-            list(first),
-            list(second),
+            parameters,
+            gradients,
+            first,
+            second,
             [],
             [self._count] * len(parameters),
             lr=rate,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 
 import torch
@@ -34,6 +35,7 @@ class StackedModel:
     """
 
     def __init__(self, models: Sequence[DualheadModel], compute_dtype: torch.dtype):
+        self._models = models
         self.parameters: dict[str, Tensor] = {}
         for name, _ in models[0].named_parameters():
             own = [model.get_parameter(name) for model in models]
@@ -51,6 +53,18 @@ class StackedModel:
             for field in fields(LossWeights)
         }
         self._loss = _ModelLoss(models[0], compute_dtype)
+
+    @contextmanager
+    def in_own_memory(self, run: int) -> Iterator[None]:
+        """One run's parameters out of the stack: safetensors refuses to save a part of a larger memory."""
+        named = dict(self._models[run].named_parameters())
+        for parameter in named.values():
+            parameter.data = parameter.data.clone()
+        try:
+            yield
+        finally:
+            for name, parameter in named.items():
+                parameter.data = self.parameters[name].data[run]
 
     def losses(self, batches: Sequence[Batch], draws: Sequence[StepDraws]) -> tuple[Tensor, Tensor]:
         """Training losses (N,), and the flow-matching losses' share of them (N,).
@@ -72,7 +86,7 @@ class StackedModel:
         }
         given = {name: value for name, value in inputs.items() if value is not None}
 
-        def one(parameters: Mapping[str, Tensor], buffers: Mapping[str, Tensor], weights: Mapping[str, Tensor], own):  # type: ignore[no-untyped-def]
+        def one(parameters: Mapping[str, Tensor], buffers: Mapping[str, Tensor], weights: Mapping[str, Tensor], own):
             state = {f"model.{name}": value for name, value in (*parameters.items(), *buffers.items())}
             return functional_call(self._loss, state, (LossWeights(**weights),), own)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -61,6 +62,11 @@ class StackedTraining:
             training.advance()
         return torch.stack([loss.detach(), flow.detach()])
 
-    def prepare_saving(self) -> None:
-        """Bring what the runs' own optimisers save up to date."""
+    def stage(self) -> list[Path]:
+        """Assemble a checkpoint of every run at the current step; returns their places once they are published."""
         self._optimizer.write_counts()
+        places = []
+        for run, training in enumerate(self.trainings):
+            with self._model.in_own_memory(run):
+                places.append(training.stage())
+        return places

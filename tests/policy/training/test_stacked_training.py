@@ -9,7 +9,13 @@ from dualhead_policy.training.arguments import parse_training_config
 from dualhead_policy.training.stacked.stacked_training import StackedTraining
 from dualhead_policy.training.trainer import Training
 
-SMALL = ["--batch_size=32", "--steps=200", "--policy.device=cpu", "--policy.velocity_width=32", "--policy.encoder_dim=16"]
+SMALL = [
+    "--batch_size=32",
+    "--steps=200",
+    "--policy.device=cpu",
+    "--policy.velocity_width=32",
+    "--policy.encoder_dim=16",
+]
 
 #: Flags of the runs of one stack, by the mechanism that they exercise; what differs between runs is in the lists.
 RING = {
@@ -35,22 +41,22 @@ RING = {
 PANDA = {
     "frames, gripper, episode token": [["--policy.token=episode", "--policy.consistency_weight=1"]] * 2,
     "third head": [
-        ["--policy.rotation_head=true", f"--policy.rotation_consistency_weight={weight}", "--policy.consistency_weight=1"]
+        [
+            "--policy.rotation_head=true",
+            "--policy.consistency_weight=1",
+            f"--policy.rotation_consistency_weight={weight}",
+        ]
         for weight in (0.5, 1)
     ],
 }
 
 
 def build(data, tmp_path, flags):
-    return [
-        Training(
-            parse_training_config(
-                [f"--dataset.root={data / 'train'}", f"--output_dir={tmp_path / str(seed)}", f"--seed={seed}", *SMALL, *own],
-                None,
-            )
-        )
-        for seed, own in enumerate(flags)
-    ]
+    trainings = []
+    for seed, own in enumerate(flags):
+        places = [f"--dataset.root={data / 'train'}", f"--output_dir={tmp_path / str(seed)}", f"--seed={seed}"]
+        trainings.append(Training(parse_training_config([*places, *SMALL, *own], None)))
+    return trainings
 
 
 def assert_stack_equals_single_runs(data, tmp_path, flags, steps):

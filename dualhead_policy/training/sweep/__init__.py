@@ -1,0 +1,1 @@
+"""Sweeps: configurations x datasets x seeds, trained in stacked groups, resumable at any moment."""

@@ -1,0 +1,228 @@
+"""Train one group of a sweep: in a process of its own, on whichever machine."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dualhead_policy.training.sweep.sweep_file import SweepRun
+
+#: Seconds between two reports of a group.
+REPORT_SECONDS = 0.5
+#: Steps between two looks at the losses: they stay on the device in between.
+LOOK_EVERY = 50
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that train as one program.
+
+    Attributes:
+        name: Its name in the manifest.
+        output: The sweep's folder.
+        runs: The runs.
+        precision: ``"fp32"`` or ``"bf16"``: type in which the velocity fields compute.
+        threads: Arithmetic threads, or None for torch's own choice.
+    """
+
+    name: str
+    output: Path
+    runs: tuple[SweepRun, ...]
+    precision: str
+    threads: int | None
+
+    @property
+    def progress_file(self) -> Path:
+        """Where the group says how far it is."""
+        return self.output / ".groups" / f"{self.name}.progress.json"
+
+    @property
+    def commit_file(self) -> Path:
+        """What makes a checkpoint of the whole group one."""
+        return self.output / ".groups" / f"{self.name}.commit.json"
+
+
+def train_group(group: Group) -> dict[str, dict[str, Any]]:
+    """Train a group to its end, from its runs' last checkpoints.
+
+    Returns:
+        ``state``, ``step`` and ``error`` of every run, by name.
+    """
+    import torch
+
+    from dualhead_policy.quiet import quiet_libraries
+    from dualhead_policy.training.sweep.group_commit import publish_group
+
+    quiet_libraries()
+    if group.threads is not None:
+        torch.set_num_threads(group.threads)
+    outcome: dict[str, dict[str, Any]] = {}
+    with contextlib.redirect_stdout(None):
+        publish_group(group.output, group.commit_file)
+        _train_members(group, group.runs, outcome)
+    return outcome
+
+
+def _train_members(group: Group, runs: Sequence[SweepRun], outcome: dict[str, dict[str, Any]]) -> None:
+    """Train some of a group's runs, in halves where they do not fit into memory together."""
+    import gc
+    import sys
+
+    import torch
+
+    try:
+        with contextlib.ExitStack() as stack:
+            trainings = dict(_built(group, runs, outcome, stack))
+            by_step: dict[int, dict[str, Any]] = {}
+            for name, training in trainings.items():
+                by_step.setdefault(training.step, {})[name] = training
+            # Runs of one group are at one step, unless somebody has continued or deleted one of them.
+            for together in by_step.values():
+                failed = _train_together(group, together)
+                for name, training in together.items():
+                    sentence = failed.get(name)
+                    ended = {"state": "failed", "error": sentence} if sentence else {"state": "finished"}
+                    outcome[name] = ended | {"step": _last_step(training)}
+        return
+    except (torch.OutOfMemoryError, MemoryError, RuntimeError) as error:
+        if not isinstance(error, torch.OutOfMemoryError | MemoryError) and "allocate memory" not in str(error):
+            raise
+    left = [run for run in runs if run.name not in outcome]
+    gc.collect()
+    if torch.cuda.is_available():
+        torch.cuda.empty_cache()
+    if len(left) == 1:
+        sentence = "it does not fit into memory alone: lower its batch_size or width, or free memory"
+        outcome[left[0].name] = {"state": "failed", "error": sentence}
+        return
+    half = (len(left) + 1) // 2
+    print(
+        f"dualhead: {group.name}: {len(left)} runs do not fit into memory together, training {half} and then "
+        f"{len(left) - half} from their last checkpoints",
+        file=sys.stderr,
+        flush=True,
+    )
+    _train_members(group, left[:half], outcome)
+    _train_members(group, left[half:], outcome)
+
+
+def _last_step(training: Any) -> int:
+    from dualhead_policy.training.checkpoints import last_checkpoint
+
+    last = last_checkpoint(training.cfg.output_dir)
+    return 0 if last is None else int(last.name)
+
+
+def _built(
+    group: Group, runs: Sequence[SweepRun], outcome: dict[str, dict[str, Any]], stack: contextlib.ExitStack
+) -> Iterator[tuple[str, Any]]:
+    """The trainings that can go on; what cannot is written into ``outcome``."""
+    from dualhead_policy.training.arguments import parse_training_config
+    from dualhead_policy.training.checkpoints import last_checkpoint
+    from dualhead_policy.training.run import claimed_run
+    from dualhead_policy.training.trainer import Training
+
+    first: Training | None = None
+    for run in runs:
+        folder = group.output / run.name
+        try:
+            stack.enter_context(claimed_run(folder))
+            begun = last_checkpoint(folder) is not None
+            arguments = ["--resume=true"] if begun else list(run.arguments)
+            cfg = parse_training_config([*arguments, f"--output_dir={folder}"], None if begun else run.preset)
+            training = Training(cfg, fresh_paths=run.fresh_paths and not cfg.resume)
+        except (ValueError, OSError) as error:
+            outcome[run.name] = {"state": "failed", "error": str(error)}
+            continue
+        if training.step >= cfg.steps:
+            outcome[run.name] = {"state": "finished", "step": training.step}
+            continue
+        if first is None:
+            first = training
+        else:
+            training.share_windows(first)
+        yield run.name, training
+
+
+def _train_together(group: Group, trainings: dict[str, Any]) -> dict[str, str]:
+    """Train runs as one program; returns the sentence of every run that failed, by name."""
+    import torch
+
+    from dualhead_policy.modeling_dualhead import MEASURE_EVERY
+    from dualhead_policy.training.stacked.stacked_training import StackedTraining
+    from dualhead_policy.training.sweep.group_commit import save_group
+
+    dtype = {"fp32": torch.float32, "bf16": torch.bfloat16}[group.precision]
+    logs = {name: training.begin() for name, training in trainings.items()}
+    failed: dict[str, str] = {}
+    running = dict(trainings)
+    report = _reporter(group)
+    steps = next(iter(trainings.values())).cfg.steps
+    while running:
+        stack = StackedTraining(list(running.values()), compute_dtype=dtype)
+        losses: list[torch.Tensor] = []
+        while stack.step < steps:
+            if stack.step % MEASURE_EVERY == 0:
+                for name, training in running.items():
+                    batch = training.source.batch(stack.step)
+                    logs[name].measure(training.policy.measure(batch.observation, batch.action, batch.token))
+            losses.append(stack.update())
+            saves = stack.trainings[0].saves_now()
+            if not saves and stack.step % LOOK_EVERY and stack.step < steps:
+                continue
+            wrong = _log(logs, list(running), losses, stack.step)
+            losses = []
+            if wrong:
+                for name, step in wrong.items():
+                    rate = running.pop(name).policy.config.optimizer_lr
+                    failed[name] = (
+                        f"the loss is not a number at step {step}: lower policy.optimizer_lr (now {rate}) and start "
+                        "again"
+                    )
+                break
+            report(stack.step, steps, list(running), logs)
+            if saves:
+                for name in running:
+                    logs[name].flush(stack.step)
+                save_group(stack, group.output, group.commit_file)
+                report(stack.step, steps, list(running), logs, saved=stack.step)
+        else:
+            break
+    return failed
+
+
+def _log(logs: dict[str, Any], names: Sequence[str], losses: Sequence[Any], step: int) -> dict[str, int]:
+    """Write the losses of the last steps into the runs' logs; returns the runs whose loss is not a number, and when."""
+    import torch
+
+    wrong: dict[str, int] = {}
+    first = step - len(losses) + 1
+    for offset, (loss, flow) in enumerate(torch.stack(list(losses)).tolist()):
+        for name, own_loss, own_flow in zip(names, loss, flow, strict=True):
+            if own_loss != own_loss:
+                wrong.setdefault(name, first + offset)
+            else:
+                logs[name].add(first + offset, own_loss, own_flow)
+    return wrong
+
+
+def _reporter(group: Group) -> Callable[..., None]:
+    last, last_saved = 0.0, 0
+    group.progress_file.parent.mkdir(parents=True, exist_ok=True)
+
+    def report(step: int, steps: int, names: Sequence[str], logs: Any, saved: int | None = None) -> None:
+        nonlocal last, last_saved
+        now = time.monotonic()
+        if saved is None and now - last < REPORT_SECONDS:
+            return
+        last, last_saved = now, saved if saved is not None else last_saved
+        temporary = group.progress_file.with_suffix(".partial")
+        temporary.write_text(json.dumps({"step": step, "steps": steps, "runs": list(names), "saved": last_saved}))
+        temporary.replace(group.progress_file)
+
+    return report
