@@ -45,12 +45,8 @@ class StackableField(nn.Module):
     def forward(self, x: Tensor, modulation: Modulation) -> Tensor:
         """Velocity (B, H * d) at the noisy chunk ``x`` (B, H * d)."""
         layers = [self.input, *self.hidden, self.output]
-        parameters = [
-            parameter
-            for layer in (*layers, *self.side)
-            for parameter in layer._parameters.values()
-            if parameter is not None
-        ]
+        layers_and_side = (*layers, *self.side)
+        parameters = [value for layer in layers_and_side for value in layer._parameters.values() if value is not None]
         return _UnderVmap.apply(self.compute_dtype, len(layers), x, modulation[0], *parameters)
 
 
