@@ -1,13 +1,10 @@
-"""The fast trainer does what lerobot-train does, resumes bit for bit, and refuses what it cannot do."""
+"""The fast trainer does what lerobot-train does, and refuses what it cannot do; tests/faults has kills and resumes."""
 
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 
 import pytest
 import torch
@@ -30,68 +27,53 @@ def weights(output):
     return load_file(last_checkpoint(output) / "pretrained_model" / "model.safetensors")
 
 
-def command(name, *arguments):
-    return [os.path.join(os.path.dirname(sys.executable), name), *arguments]
+#: What the console script `lerobot-train` does, for one set of flags after the other; it never names this package.
+LEROBOT_TRAIN = """
+import json, sys
+from lerobot.scripts.lerobot_train import main
+for flags in json.loads(sys.argv[1]):
+    sys.argv = ["lerobot-train", *flags]
+    main()
+"""
 
 
-def train_both_ways(data, tmp_path, *more):
-    """Weights of the real `lerobot-train` process, which never imports this package by name, and of ours."""
-    common = flags(data, tmp_path / "theirs", "--steps=12", "--seed=3", *more)
+def assert_both_trainers_agree(data, folder, mechanisms):
+    """Train every mechanism by LeRobot, in a process of its own in another folder, and by ours."""
+    runs = {
+        trainer: [
+            flags(data, folder / f"{trainer}-{i}", "--steps=12", "--seed=3", *more) for i, more in enumerate(mechanisms)
+        ]
+        for trainer in ("theirs", "ours")
+    }
+    own = ["--policy.type=dualhead", "--dataset.repo_id=local/data", "--num_workers=0", "--env_eval_freq=0"]
+    asked = json.dumps([[*own, "--save_freq=12", *run] for run in runs["theirs"]])
     done = subprocess.run(
-        command(
-            "lerobot-train", "--policy.type=dualhead", "--dataset.repo_id=local/data", "--num_workers=0",
-            "--env_eval_freq=0", "--save_freq=12", *common,
-        ),
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", LEROBOT_TRAIN, asked], cwd=folder, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr[-2000:]
-    Training(parse_training_config(flags(data, tmp_path / "ours", "--steps=12", "--seed=3", *more), None)).run()
-    return weights(tmp_path / "theirs"), weights(tmp_path / "ours")
+    for i, run in enumerate(runs["ours"]):
+        Training(parse_training_config(run, None)).run()
+        theirs, ours = weights(folder / f"theirs-{i}"), weights(folder / f"ours-{i}")
+        assert set(theirs) == set(ours)
+        for name, value in theirs.items():
+            # The fast trainer fuses Adam's arithmetic; nothing else differs.
+            assert torch.allclose(value.float(), ours[name].float(), atol=1e-6), name
 
 
-@pytest.mark.parametrize("token", [[], ["--policy.token=oracle", "--policy.token_replacement_prob=0.1"]])
-def test_lerobot_train_writes_the_same_policy_from_another_folder(ring_data, tmp_path, token):
-    theirs, ours = train_both_ways(ring_data, tmp_path, *token)
-    assert set(theirs) == set(ours)
-    for name, value in theirs.items():
-        # The fast trainer fuses Adam's arithmetic; nothing else differs.
-        assert torch.allclose(value.float(), ours[name].float(), atol=1e-6), name
+def test_lerobot_train_writes_the_same_policy_from_another_folder(ring_data, tmp_path):
+    assert_both_trainers_agree(
+        ring_data, tmp_path, [[], ["--policy.token=oracle", "--policy.token_replacement_prob=0.1"]]
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "mechanism",
-    [
+def test_lerobot_train_writes_the_same_robot_policy(panda_data, tmp_path):
+    """Padded windows, noise on the observation, gripper, frames and mechanisms included."""
+    mechanisms = [
         ["--policy.token=episode", "--policy.token_draw=learned", "--policy.consistency_weight=1"],
         ["--policy.latent=posterior", "--policy.rotation_head=true", "--policy.rotation_consistency_weight=1"],
-    ],
-    ids=["episode token", "posterior and third head"],
-)
-def test_lerobot_train_writes_the_same_robot_policy(panda_data, tmp_path, mechanism):
-    """Padded windows, noise on the observation, gripper, frames and mechanisms included."""
-    theirs, ours = train_both_ways(panda_data, tmp_path, *mechanism)
-    assert set(theirs) == set(ours)
-    for name, value in theirs.items():
-        assert torch.allclose(value.float(), ours[name].float(), atol=1e-6), name
-
-
-def test_a_killed_run_resumes_to_the_weights_of_an_uninterrupted_one(ring_data, tmp_path):
-    more = ["--steps=400", "--save_freq=50", "--seed=5", "--policy.token=window"]
-    Training(parse_training_config(flags(ring_data, tmp_path / "whole", *more), None)).run()
-    process = subprocess.Popen(
-        command("dualhead", "train", *flags(ring_data, tmp_path / "cut", *more)),
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
-    while last_checkpoint(tmp_path / "cut") is None and process.poll() is None:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    cut_at = int(last_checkpoint(tmp_path / "cut").name)
-    assert 0 < cut_at < 400
-    resumed = parse_training_config(["--resume=true", f"--output_dir={tmp_path / 'cut'}"], None)
-    Training(resumed).run()
-    whole, cut = weights(tmp_path / "whole"), weights(tmp_path / "cut")
-    assert all(torch.equal(whole[name], cut[name]) for name in whole)
+    ]
+    assert_both_trainers_agree(panda_data, tmp_path, mechanisms)
 
 
 def test_residual_and_latents_influence_are_logged(ring_data, tmp_path):
