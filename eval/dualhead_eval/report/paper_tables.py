@@ -90,13 +90,14 @@ def contradictions_table(report: Report) -> Table | None:
 
 def comparisons_table(report: Report) -> Table:
     """Ours and the paper's, one line a quantity."""
+    contradicted = {row for row, _ in report.contradictions}
     lines = []
     for c in report.comparisons:
         spec = ".1f" if c.quantity == "residual_mm" else ".4f"
         lines.append(
             (
                 c.label,
-                c.row,
+                c.row + (" †" if c.row in contradicted else ""),
                 c.source,
                 c.quantity,
                 c.loss,

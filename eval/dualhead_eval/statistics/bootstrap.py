@@ -58,7 +58,7 @@ def bootstrap_p_value(resamples: Resamples, name: str) -> float:
     return min(1.0, 2 * (1 + beyond) / (1 + defined.size))
 
 
-def smallest_p_value(resamples: Resamples, name: str) -> float:
+def p_value_floor(resamples: Resamples, name: str) -> float:
     """The p-value where no replicate lies on the other side of zero: more replicates could only lower it."""
     return 2 / (1 + int(np.isfinite(resamples.values[name]).sum()))
 

@@ -26,7 +26,7 @@ from dualhead_eval.statistics.bootstrap import (
     bootstrap_conditions,
     bootstrap_p_value,
     equivalence_test,
-    smallest_p_value,
+    p_value_floor,
 )
 from dualhead_eval.statistics.interval import Interval
 from dualhead_eval.statistics.run_statistics import condition_sums
@@ -246,7 +246,7 @@ def summarise_table(
         tv_target_p=total_variation(pooled.p, target),
         intervals={name: resamples.interval(name, 0.95) for name in resamples.names},
         p_value=p_value,
-        p_value_is_bound=p_value <= smallest_p_value(resamples, "rho"),
+        p_value_is_bound=p_value <= p_value_floor(resamples, "rho"),
         equivalence=equivalence_test(resamples),
         occupancy=occupancy(run["rho"], run["capacity"], sums.n_modes),
         reason=_reason(run, n_both_valid),

@@ -88,6 +88,18 @@ def test_spaced_positions_keep_their_order_their_distance_and_the_room(positions
         assert placed == pytest.approx(positions)
 
 
+def test_ticks_of_long_labelled_runs_do_not_collide(make_gate):
+    """Labels squeezed the close-up until "-0.04" ran into "-0.02"."""
+    name = "v3 pose_consistency_3_rotation_1, 20000 steps (position-rotation), {}"
+    gates = [make_gate(name.format(n), couple, flip=n == 2, seed=n) for n, couple in enumerate((0.0, 0.9, 0.5))]
+    figure = forest_figure(make_report(gates))
+    figure.savefig(io.BytesIO(), format="png")
+    for ax in figure.axes:
+        boxes = [label.get_window_extent() for label in ax.get_xticklabels() if label.get_text()]
+        assert len(boxes) > 2
+        assert not any(left.overlaps(right) for left, right in pairwise(boxes))
+
+
 def test_ticks_of_neighbouring_numbers_of_steps_do_not_collide(make_gate):
     report = make_report([make_gate("a"), make_gate("b", seed=1)])
     crowded = [replace(curve, points=tuple(replace(p, nfe=n) for p, n in zip(curve.points, (19, 20), strict=True)))
