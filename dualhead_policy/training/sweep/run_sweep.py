@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dualhead_envs.recording.claim import claimed
-from dualhead_envs.worker_processes import interrupts_kept_from_workers
+from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers
 from dualhead_policy.training.sweep.group_training import Group, train_group
 from dualhead_policy.training.sweep.grouping import plan_runs
 from dualhead_policy.training.sweep.manifest import Manifest, continue_manifest, read_manifest
@@ -65,7 +66,9 @@ def run_sweep(
             )
             if todo:
                 groups.append(Group(name, output, todo, precision, 1 if jobs > 1 else None))
-        with _shown(manifest, groups, show_progress), parallel_config(backend=backend):
+        # Other backends have workers on other machines, which their own schedulers end.
+        ending = {"initializer": end_with, "initargs": (os.getpid(),)} if backend == "loky" else {}
+        with _shown(manifest, groups, show_progress), parallel_config(backend=backend, **ending):
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="all")
             with interrupts_kept_from_workers():
                 outcomes = parallel(delayed(train_group)(group) for group in groups)
