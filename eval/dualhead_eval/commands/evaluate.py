@@ -38,6 +38,7 @@ modes and write the counts to a gate file; or count the predictions in recorded 
 
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --output ring.gate.json
   dualhead evaluate --exact --dataset data/ring/test --output exact.gate.json
+  dualhead evaluate --exact --consistency-weight 3 --source-noise-beta 0 --dataset data/v2/test --output G.gate.json
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --record data/rollouts --output loop.gate.json
   dualhead evaluate --rollouts data/rollouts --output rollouts.gate.json
 
@@ -50,7 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     what = parser.add_argument_group("what to evaluate (one of)").add_mutually_exclusive_group(required=True)
     what.add_argument("--policy", metavar="DIR", help="a checkpoint's folder, or a training run's output folder")
-    what.add_argument("--exact", action="store_true", help="the ring's population-optimal sampler")
+    what.add_argument(
+        "--exact",
+        action="store_true",
+        help="the population-optimal sampler: the ring's or, with --consistency-weight, a robot's",
+    )
     what.add_argument("--rollouts", metavar="DIR", help="a LeRobotDataset of recorded rollouts")
     parser.add_argument("--dataset", metavar="DIR", help="split with the test conditions, e.g. data/ring/test")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="gate file to write")
