@@ -114,6 +114,8 @@ def _column(column: Any, feature: dict[str, Any], path: Path, key: str) -> np.nd
     if values.null_count:
         raise ValueError(f"{path} holds empty values in {key!r}, expected numbers: {REMEDY}")
     if not pa.types.is_list(values.type) and not pa.types.is_fixed_size_list(values.type):
+        if width != 1:
+            raise ValueError(f"{path} holds single numbers in {key!r}, expected rows of {width}: {REMEDY}")
         return _numbers(values, feature, path, key)
     flat = _numbers(values.flatten(), feature, path, key)
     sizes = values.value_lengths().to_numpy(zero_copy_only=False)

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from dualhead_envs.dataset_columns import INFO, data_files, read_columns, read_info
-from dualhead_envs.dataset_sidecar import read_sidecar
-from dualhead_envs.validated_json import shown
+from dualhead_envs.dataset_sidecar import SIDECAR, read_sidecar
+from dualhead_envs.validated_json import LONGEST_LABEL, shown
 
 OBSERVATION_KEYS = ("observation.state", "observation.environment_state")
 LABEL_KEYS = ("mode", "pair", "branch_step")
@@ -132,12 +132,7 @@ def read_split(root: str | Path) -> SplitFrames:
             f"{root} lacks the features {missing or list(OBSERVATION_KEYS)}: "
             "expected a dataset written by `dualhead record`"
         )
-    names = info["features"]["action"].get("names")
-    if not isinstance(names, list) or [len(names)] != info["features"]["action"]["shape"]:
-        raise ValueError(
-            f"{root / INFO} names the dimensions of the action {shown(names)}, expected a list of "
-            f"{info['features']['action']['shape']}: record the dataset again"
-        )
+    _check_names(root, info["features"]["action"], sidecar.get("layout"))
     columns = read_columns(root, info, wanted)
     check_frames(root, columns, info["total_episodes"], sidecar.get("partition", {}).get("n_modes"))
     return SplitFrames(
@@ -150,6 +145,28 @@ def read_split(root: str | Path) -> SplitFrames:
         frame_index=columns["frame_index"],
         labels={key: columns[key] for key in LABEL_KEYS if key in columns},
     )
+
+
+def _check_names(root: Path, action: Mapping[str, Any], layout: str | None) -> None:
+    """Refuse an action whose dimensions are not named, or not as the layout that the dataset says it has."""
+    names, width = action.get("names"), action["shape"]
+    if not isinstance(names, list) or [len(names)] != width or not all(_is_name(name) for name in names):
+        raise ValueError(
+            f"{root / INFO} names the dimensions of the action {shown(names)}, expected a list of {width} names: "
+            "record the dataset again"
+        )
+    # joint.MAP.i on the ring, joint.i on robots.
+    parts = names[0].split(".")
+    implied = f"ring/{parts[1]}" if len(parts) == 3 else "panda"
+    if layout is not None and layout != implied:
+        raise ValueError(
+            f"{root / SIDECAR} has layout = {shown(layout)}, the names of the actions are those of {implied!r}: record "
+            "the dataset again"
+        )
+
+
+def _is_name(name: Any) -> bool:
+    return isinstance(name, str) and 0 < len(name) <= LONGEST_LABEL and name.isprintable()
 
 
 def check_frames(root: Path, columns: Mapping[str, np.ndarray], episodes: int, n_modes: int | None) -> None:

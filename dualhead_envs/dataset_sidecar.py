@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter, model_validator
 
-from dualhead_envs.validated_json import Label, Schema, read_validated, shown
+from dualhead_envs.validated_json import Label, Schema, printable, read_validated, shown
 
 #: Where the description lies in a dataset's folder.
 SIDECAR = Path("meta", "dualhead.json")
@@ -71,7 +71,7 @@ class Outcome(Schema):
     #: Frames in the dataset; with none the episode is not in it. None in recordings that did not count them.
     frames: Count | None = None
     #: Why a decision was refused, which ended the episode; None if it ran to its end.
-    refused: Annotated[str, Field(min_length=1, max_length=2000)] | None = None
+    refused: Annotated[str, Field(min_length=1, max_length=2000), AfterValidator(printable)] | None = None
     #: How an episode of a robot environment failed, and the step at which its perturbation began (-1: none).
     failure: Label | None = None
     onset: Annotated[int, Field(ge=-1, le=2**31)] | None = None

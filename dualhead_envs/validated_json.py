@@ -33,7 +33,12 @@ class OpenSchema(Schema):
     model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False, frozen=True)
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
+    """``text``, if it is a line of text that cannot steer a terminal.
+
+    Raises:
+        ValueError: If it has line breaks or control codes.
+    """
     if not text.isprintable():
         raise ValueError("should be printable text without line breaks or control codes")
     return text
@@ -42,7 +47,7 @@ def _printable(text: str) -> str:
 #: Longest label, in characters.
 LONGEST_LABEL = 200
 #: A name or label: a line of text that cannot steer a terminal.
-Label = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_LABEL), AfterValidator(_printable)]
+Label = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_LABEL), AfterValidator(printable)]
 
 
 def read_validated[T](path: Path, schema: type[T], *, kind: str, remedy: str) -> T:

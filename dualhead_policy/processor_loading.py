@@ -141,6 +141,8 @@ def _check_statistic(path: Path, name: str, values: Tensor | None, shape: tuple[
         raise ValueError(f"{path} lacks {name!r}, expected mean and std of every observation: {REMEDY}")
     if tuple(values.shape) != tuple(shape):
         raise ValueError(f"{path} holds {name!r} of shape {tuple(values.shape)}, expected {tuple(shape)}: {REMEDY}")
+    if not values.is_floating_point():
+        raise ValueError(f"{path} holds {name!r} of type {values.dtype}, expected floating-point numbers: {REMEDY}")
     if not torch.isfinite(values).all() or (name.endswith(".std") and not (values > 0).all()):
         expected = "positive finite numbers" if name.endswith(".std") else "finite numbers"
         raise ValueError(f"{path} holds {name!r} = {values.tolist()[:4]}, expected {expected}: {REMEDY}")

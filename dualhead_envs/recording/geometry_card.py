@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from dualhead_envs.validated_json import Label, Schema, read_validated
+from dualhead_envs.validated_json import Label, Schema, printable, read_validated
 
+Bounds = Field(ge=-1e12, le=1e12)
 #: A measured quantity; None where it is not defined.
-Quantity = int | float | None
+Quantity = Annotated[int, Bounds] | Annotated[float, Bounds] | None
+#: A line of explanation.
+Explanation = Annotated[str, Field(max_length=500), AfterValidator(printable)]
 
 
 class GeometryCard(Schema):
@@ -31,8 +34,8 @@ class GeometryCard(Schema):
     horizon: Annotated[int, Field(ge=1)]
     measured: Annotated[dict[Label, Quantity], Field(min_length=1)]
     paper: dict[Label, Quantity]
-    single_feature: str
-    meanings: dict[Label, Annotated[str, Field(max_length=500)]]
+    single_feature: Explanation
+    meanings: dict[Label, Explanation]
 
 
 def read_geometry_card(path: Path) -> GeometryCard:

@@ -15,6 +15,7 @@ from lerobot.configs.train import TRAIN_CONFIG_NAME, TrainPipelineConfig
 from lerobot.utils.constants import PRETRAINED_MODEL_DIR
 
 from dualhead_policy.training.checkpoints import last_checkpoint
+from dualhead_policy.training.config_file import check_config_file
 from dualhead_policy.training.presets import PRESETS
 from dualhead_policy.training.run_folder import refuse_occupied
 
@@ -59,6 +60,9 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
             complete.append(f"--dataset.repo_id=local/{Path(root).resolve().parent.name}")
         if not (parser.get_path_arg("policy", given) or parser.get_type_arg("policy", given)):
             complete.insert(0, "--policy.type=dualhead")
+    config_file = parser.parse_arg("config_path", [*complete, *given])
+    if config_file:
+        check_config_file(Path(config_file))
     with _command_line([*complete, *given]):
         cfg = _parse()
         _validate(cfg)

@@ -69,7 +69,6 @@ def run(args: argparse.Namespace, remaining: list[str]) -> int:
 
 def _train_here(args: argparse.Namespace, remaining: list[str]) -> Path:
     import contextlib
-    import sys
 
     from tqdm import tqdm
 
@@ -89,5 +88,6 @@ def _train_here(args: argparse.Namespace, remaining: list[str]) -> Path:
             yield progress
 
     quiet_libraries()
-    with contextlib.redirect_stdout(sys.stderr):
+    # LeRobot announces on standard output what it loads.
+    with contextlib.redirect_stdout(None):
         return train_run(remaining, args.preset, fresh_paths=args.fresh_paths, follow=follow)

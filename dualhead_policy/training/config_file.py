@@ -1,0 +1,59 @@
+"""Configuration files (``--config_path``), checked before LeRobot and draccus parse them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dualhead_envs.validated_json import read_json
+
+#: Largest configuration file, in bytes.
+MAX_BYTES = 2**20
+#: Most values of a configuration, each alias counted as what it stands for.
+MAX_VALUES = 10_000
+#: Deepest nesting.
+MAX_DEPTH = 32
+KIND, REMEDY = "a training configuration", "give a YAML or JSON file of lerobot-train's fields"
+
+
+def check_config_file(path: Path) -> None:
+    """Refuse a configuration file that is no mapping of plain values of reasonable size.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is none.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist, expected {KIND}: {REMEDY}")
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path} has {path.stat().st_size} bytes, expected at most {MAX_BYTES}: {REMEDY}")
+    content = read_json(path, kind=KIND, remedy=REMEDY) if path.suffix == ".json" else _read_yaml(path)
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} holds no mapping of fields, expected {KIND}: {REMEDY}")
+    if _values(content, MAX_DEPTH) > MAX_VALUES:
+        raise ValueError(f"{path} holds more than {MAX_VALUES} values or is nested deeper than {MAX_DEPTH}: {REMEDY}")
+
+
+def _read_yaml(path: Path) -> Any:
+    try:
+        return yaml.safe_load(path.read_bytes())
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f" (line {mark.line + 1}, column {mark.column + 1})"
+        raise ValueError(f"{path} is not plain YAML{where}, expected {KIND}: {REMEDY}") from error
+
+
+def _values(value: Any, depth: int) -> int:
+    """Number of values in a document, or one more than is allowed as soon as that is certain."""
+    if depth == 0:
+        return MAX_VALUES + 1
+    children: Iterable[Any] = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    total = 1
+    for child in children:
+        total += _values(child, depth - 1)
+        if total > MAX_VALUES:
+            break
+    return total
