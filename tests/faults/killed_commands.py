@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
 import sys
@@ -21,6 +22,7 @@ PRELOADED = [
     "dualhead_eval.report.page",
     "dualhead_eval.report.figures.figures",
     "dualhead_policy.training.run",
+    "dualhead_policy.training.sweep.run_sweep",
     "dualhead_policy.pretrained",
     "dualhead_envs.record_command",
     "dualhead_envs.ring.record",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import signal
 import time
@@ -48,15 +49,8 @@ def robot_recording(folder):
     return ["record", *size, "--root", str(folder / "v2"), "--no-progress"]
 
 
-def training(data, *more, runs=("run",)):
-    def arguments(folder):
-        run = f"--output_dir={folder / 'run'}"
-        if more or last_checkpoint(folder / "run") is None:
-            small = ["--batch_size=16", "--policy.velocity_width=32", "--policy.encoder_dim=16", "--policy.device=cpu"]
-            budget = [f"--steps={STEPS}", "--save_freq=10", "--policy.token=window", *more]
-            again = ["--resume=true"] if more and (folder / "run").exists() else []
-            return ["train", f"--dataset.root={data / 'train'}", run, *budget, *small, *again]
-        return ["train", "--resume=true", run]
+def weights_and_steps(runs):
+    """What can be said of the folders of some runs."""
 
     def product(folder):
         """Weights and training states of the last checkpoints; their configurations name the folder."""
@@ -70,7 +64,38 @@ def training(data, *more, runs=("run",)):
         """Steps in complete checkpoints."""
         return sum(int(last.name) for run in runs if (last := last_checkpoint(folder / run)) is not None)
 
-    return Work(arguments, product, progress)
+    return product, progress
+
+
+def training(data, *more, runs=("run",)):
+    def arguments(folder):
+        run = f"--output_dir={folder / 'run'}"
+        if more or last_checkpoint(folder / "run") is None:
+            small = ["--batch_size=16", "--policy.velocity_width=32", "--policy.encoder_dim=16", "--policy.device=cpu"]
+            budget = [f"--steps={STEPS}", "--save_freq=10", "--policy.token=window", *more]
+            again = ["--resume=true"] if more and (folder / "run").exists() else []
+            return ["train", f"--dataset.root={data / 'train'}", run, *budget, *small, *again]
+        return ["train", "--resume=true", run]
+
+    return Work(arguments, *weights_and_steps(runs))
+
+
+def sweeping(data):
+    runs = [f"sweep/ring/window/seed-{seed}" for seed in (0, 1)]
+
+    def arguments(folder):
+        flags = {"steps": STEPS, "save_freq": 10, "batch_size": 16, "policy.device": "cpu", "policy.token": "window"}
+        sweep = {
+            "output": str(folder / "sweep"),
+            "datasets": {"ring": str(data / "train")},
+            "configurations": [{"name": "window", "flags": {"policy.velocity_width": 32, "policy.encoder_dim": 16}}],
+            "seeds": [0, 1],
+            "flags": flags,
+        }
+        (folder / "sweep.yaml").write_text(json.dumps(sweep))  # JSON is YAML
+        return ["sweep", str(folder / "sweep.yaml"), "--jobs", "1", "--no-progress"]
+
+    return Work(arguments, *weights_and_steps(runs))
 
 
 def evaluation(policy, data):
@@ -127,6 +152,7 @@ def works(ring_data, trained, tmp_path_factory):
         ),
         "train": training(ring_data),
         "train seeds": training(ring_data, "--seeds", "0", "1", runs=("run/seed-0", "run/seed-1")),
+        "sweep": sweeping(ring_data),
         "evaluate": Work(evaluation(trained, ring_data), lambda folder: digests(folder / "run.gate.json")),
         "rollouts": Work(
             rolling_out(trained, ring_data),
@@ -198,6 +224,7 @@ def test_killed_work_finishes_as_if_nothing_had_happened(works, tmp_path, name):
     [
         ("record", 25),
         ("train", 25),
+        ("sweep", 10),
         ("evaluate", 20),
         ("rollouts", 20),
         ("report", 15),
