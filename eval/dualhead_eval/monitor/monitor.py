@@ -91,7 +91,7 @@ class Monitor:
         self.aggregator_name, self.threshold_name = aggregator, threshold
         self.alpha: float | None = None
         self.calibration: tuple[str, ...] = ()
-        self._index = 0
+        self._index, self._last_step = 0, -1
 
     @property
     def names(self) -> list[str]:
@@ -161,7 +161,7 @@ class Monitor:
 
     def reset(self) -> None:
         """Begin an episode: forget its decisions, clear the alarms."""
-        self._index = 0
+        self._index, self._last_step = 0, -1
         for channel in self.channels:
             channel.reset()
 
@@ -169,10 +169,17 @@ class Monitor:
         """Read one more decision of the episode.
 
         Raises:
-            ValueError: If the monitor has not been fitted, or the decision lacks what a signal needs.
+            ValueError: If the monitor has not been fitted, the decision lacks what a signal needs, or does not come
+                after the one before.
         """
         if self.alpha is None:
             raise ValueError("the monitor has no threshold yet, expected a call of fit with calibration episodes first")
+        if decision.step <= self._last_step:
+            raise ValueError(
+                f"a decision at step {decision.step} follows one at step {self._last_step}, expected a later one: call "
+                "reset when an episode begins"
+            )
+        self._last_step = decision.step
         readings = {}
         for channel in self.channels:
             score, aggregate = channel.score(decision)

@@ -1,5 +1,7 @@
 """A monitor beside a robot says what it says of the recording, bit for bit, and refuses what it cannot judge."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -89,10 +91,13 @@ def test_another_policy_is_scored_on_the_recorded_observations(rollouts, trained
 def test_an_alarm_holds_until_the_next_episode(make_episode):
     rng = np.random.default_rng(1)
     monitor = Monitor(["residual"], "step").fit([make_episode(rng) for _ in range(19)], rng=rng)
-    calm, wild = make_episode(rng).decisions[0], make_episode(rng, shift=50.0).decisions[0]
+    calm, wild, later = make_episode(rng).decisions[0], *make_episode(rng, shift=50.0).decisions[1:3]
+    later = replace(calm, step=later.step)
     monitor.reset()
-    alarms = [monitor.update(decision).alarm for decision in (calm, wild, calm)]
+    alarms = [monitor.update(decision).alarm for decision in (calm, wild, later)]
     assert alarms == [False, True, True]
+    with pytest.raises(ValueError, match="call reset"):
+        monitor.update(calm)
     monitor.reset()
     assert not monitor.update(calm).alarm
 
