@@ -157,9 +157,9 @@ def _score(args: argparse.Namespace) -> int:
 def _report(args: argparse.Namespace) -> int:
     from dualhead_eval.commands.console import open_console, refuse_overwrite
     from dualhead_eval.monitor.detection.alarm_log import AlarmLog, alarm_log
+    from dualhead_eval.monitor.detection.comparison import require_one_monitor
     from dualhead_eval.monitor.scores_file import read_scores
-    from dualhead_eval.report.monitor_page import monitor_page
-    from dualhead_eval.report.monitor_tables import monitor_tables
+    from dualhead_eval.report.monitor_tables import measure_all, monitor_tables
     from dualhead_eval.report.terminal import render_table
 
     if args.draws < 1:
@@ -172,7 +172,9 @@ def _report(args: argparse.Namespace) -> int:
     logs = []
     for path, label in zip(args.scores, labels, strict=True):
         logs.append(AlarmLog.read(path) if path.suffix == ".json" else alarm_log(*read_scores(path), label))
-    tables = monitor_tables(logs, draws=args.draws)
+    require_one_monitor(logs)
+    measured = measure_all(logs, draws=args.draws)
+    tables = monitor_tables(logs, measured, draws=args.draws)
     console = open_console()
     for table in tables:
         console.print(render_table(table))
@@ -181,8 +183,10 @@ def _report(args: argparse.Namespace) -> int:
         console.print(f"alarms: {path}")
     if args.output is not None:
         from dualhead_eval.atomic_text import write_text
+        from dualhead_eval.report.figures.monitor import monitor_figures
+        from dualhead_eval.report.monitor_page import monitor_page
 
-        write_text(args.output, monitor_page(tables))
+        write_text(args.output, monitor_page(tables, monitor_figures(logs, measured)))
         console.print(f"page: {args.output}")
     return 0
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dualhead_eval.monitor.detection.alarm_log import AlarmLog
-from dualhead_eval.monitor.detection.comparison import Measure, differences, measures
+from dualhead_eval.monitor.detection.comparison import Measure, differences, measures, require_one_monitor
 from dualhead_eval.monitor.detection.concordance import FEWEST, compare_scores
 from dualhead_eval.monitor.detection.detection import HORIZONS, at_horizon, delays
 from dualhead_eval.report.table import Cell, Column, Table, number, with_bounds
@@ -22,6 +22,7 @@ _MEASURES = (
         "chance that a failure ranks above a success of its own perturbation and level at the same time",
     ),
     ("auroc_time_matched", "AUROC, any level", "the same between all failures and successes"),
+    ("auroc_whole", "whole log", "between largest aggregates of whole episodes, time and level ignored"),
     ("flagged", "false alarms, flagged", "share of successes' decisions with an alarm where two modes are open"),
     ("other", "elsewhere", "the same where one mode is open"),
     ("gap", "gap", "their difference"),
@@ -30,12 +31,26 @@ _MEASURES = (
     ("detected_10", "at 10 %", "the same at 10 %"),
 )
 _RUN_AND_SIGNAL = (Column("run", text=True), Column("signal", text=True))
-_AUROC = ("auroc", "auroc_time_matched")
+_AUROC = ("auroc", "auroc_time_matched", "auroc_whole")
 
 
-def monitor_tables(logs: Sequence[AlarmLog], *, draws: int = BOOTSTRAP_DRAWS) -> list[Table]:
-    """Every table about these runs, in the order in which they are read."""
-    tables = [_episodes(logs), _signals(logs, draws), _horizons(logs), _delays(logs)]
+#: Measures by run and signal.
+Measured = dict[tuple[str, str], dict[str, Measure]]
+
+
+def measure_all(logs: Sequence[AlarmLog], *, draws: int = BOOTSTRAP_DRAWS) -> Measured:
+    """The measures of every signal of every run."""
+    return {(log.label, signal): measures(log, signal, draws=draws) for log in logs for signal in log.signals}
+
+
+def monitor_tables(logs: Sequence[AlarmLog], measured: Measured, *, draws: int = BOOTSTRAP_DRAWS) -> list[Table]:
+    """Every table about these runs, in the order in which they are read.
+
+    Raises:
+        ValueError: If the runs were scored by monitors that aggregate or calibrate differently.
+    """
+    require_one_monitor(logs)
+    tables = [_episodes(logs), _signals(logs, measured, draws), _horizons(logs), _delays(logs)]
     if len(logs) > 1:
         tables.append(_differences(logs, draws))
     return tables
@@ -62,11 +77,11 @@ def _episodes(logs: Sequence[AlarmLog]) -> Table:
     return Table("The episodes", columns, tuple(rows))
 
 
-def _signals(logs: Sequence[AlarmLog], draws: int) -> Table:
+def _signals(logs: Sequence[AlarmLog], measured: Measured, draws: int) -> Table:
     rows: list[tuple[str | Cell, ...]] = []
     for log in logs:
         for signal in log.signals:
-            found = measures(log, signal, draws=draws)
+            found = measured[log.label, signal]
             rows.append((log.label, signal, *(_cell(found.get(name), name) for name, _, _ in _MEASURES)))
     flagged = all(episode.flagged is not None for log in logs for episode in log.document.episodes)
     notes = [f"95 % intervals over episodes, {draws} bootstrap draws"]

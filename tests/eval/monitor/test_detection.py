@@ -11,6 +11,8 @@ from dualhead_eval.monitor.detection.comparison import differences, measures
 from dualhead_eval.monitor.detection.concordance import compare_scores, compare_traces
 from dualhead_eval.monitor.detection.detection import at_horizon, delays, detection_at
 from dualhead_eval.monitor.detection.false_alarms import false_alarms
+from dualhead_eval.report.figures.monitor import CAPTIONS, monitor_figures
+from dualhead_eval.report.monitor_tables import measure_all, monitor_tables
 
 
 def make_log(rng, episodes=60, *, effect=1.0, label="run", limit=1.5, aggregator="max", strata=("push@1", "slip@2")):
@@ -178,6 +180,8 @@ def test_two_arms_are_resampled_together():
     assert same["gap"].interval.low == same["gap"].interval.high == 0
     with pytest.raises(ValueError, match="different episodes"):
         differences(one, make_log(np.random.default_rng(7), episodes=10), "residual")
+    with pytest.raises(ValueError, match="mixed monitors"):
+        differences(one, make_log(np.random.default_rng(6), effect=0.0, aggregator="step"), "residual")
 
 
 def test_the_alarm_file_gives_the_same_verdicts_and_is_checked_on_reading(tmp_path):
@@ -208,3 +212,14 @@ def test_decisions_without_a_flag_have_no_false_alarm_rates():
     with pytest.raises(ValueError, match="--flag-data"):
         false_alarms(log, "residual")
     assert "gap" not in measures(log, "residual", draws=10)
+
+
+def test_the_figures_show_what_the_runs_allow():
+    log = make_log(np.random.default_rng(10))
+    measured = measure_all([log], draws=20)
+    assert set(monitor_figures([log], measured)) == set(CAPTIONS)
+    nominal = make_log(np.random.default_rng(10))
+    for episode in nominal.document.episodes:
+        episode.success = True
+    assert set(monitor_figures([nominal], {})) == set()
+    assert len(monitor_tables([log, log], measured, draws=20)) == 5

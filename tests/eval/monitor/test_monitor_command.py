@@ -35,6 +35,7 @@ def test_a_recording_is_scored_and_reported(monitor, rollouts, tmp_path, capsys)
     assert "1.000" in line
     assert "0.500" in next(line for line in shown.splitlines() if " elapsed " in line)
     assert "What the signals detect" in page.read_text()
+    assert page.read_text().count("<figure>") == 2  # no onset and no flags here: ROC and one episode
     assert (tmp_path / "run.alarm.json").stat().st_size < 100_000
     # The alarm file says what the scores said.
     assert main(["monitor", "report", str(tmp_path / "run.alarm.json"), "--draws", "50"]) == 0

@@ -120,17 +120,18 @@ class AlarmLog:
             self._running[key] = [running(key[1], scores) for scores in self.scores(signal)]
         return self._running[key]
 
-    def exceeded(self, signal: str) -> list[NDArray[np.bool_]]:
-        """Whether each decision's aggregate exceeds the fitted limit."""
+    def limits_of(self, number: int, signal: str) -> NDArray[np.float64]:
+        """The fitted limit at every decision of one episode."""
         table = np.array([np.inf if x == _DIVERGED else x for x in self.document.limits[signal]], dtype=np.float64)
-        marks = []
-        for episode, values in zip(self.document.episodes, self.aggregates(signal), strict=True):
-            if self.document.threshold.startswith("mondrian"):
-                limit = table[np.array(episode.flagged, dtype=int)]
-            else:
-                limit = table[np.minimum(np.arange(len(values)), len(table) - 1)]
-            marks.append(values > limit)
-        return marks
+        episode = self.document.episodes[number]
+        if self.document.threshold.startswith("mondrian"):
+            return table[np.array(episode.flagged, dtype=int)]
+        return table[np.minimum(np.arange(len(episode.at)), len(table) - 1)]
+
+    def exceeded(self, signal: str) -> list[NDArray[np.bool_]]:
+        """Whether each decision's aggregate exceeds the fitted limit, of every episode."""
+        aggregates = self.aggregates(signal)
+        return [values > self.limits_of(number, signal) for number, values in enumerate(aggregates)]
 
     def write(self, path: str | Path) -> None:
         """Write the file, atomically."""

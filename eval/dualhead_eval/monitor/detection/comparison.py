@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dualhead_eval.monitor.detection.alarm_log import AlarmLog
-from dualhead_eval.monitor.detection.concordance import compare_traces
+from dualhead_eval.monitor.detection.concordance import compare_scores, compare_traces
 from dualhead_eval.monitor.detection.detection import detection_at, largest_aggregates
 from dualhead_eval.monitor.detection.false_alarms import false_alarms
 from dualhead_eval.statistics.bootstrap import BOOTSTRAP_DRAWS, BOOTSTRAP_SEED, resample_weights
@@ -54,8 +55,10 @@ def differences(
         seed: Seed of the bootstrap.
 
     Raises:
-        ValueError: If the two logs hold different episodes, or the same in another order.
+        ValueError: If the two logs hold different episodes, or the same in another order, or other aggregates or
+            thresholds.
     """
+    require_one_monitor([first, second])
     keys = [[episode.key for episode in log.document.episodes] for log in (first, second)]
     if keys[0] != keys[1]:
         raise ValueError(
@@ -70,6 +73,21 @@ def differences(
     }
 
 
+def require_one_monitor(logs: Sequence[AlarmLog]) -> None:
+    """Refuse to compare alarms of monitors that aggregate or calibrate differently.
+
+    Raises:
+        ValueError: If aggregate, threshold or alpha differ.
+    """
+    kinds = {(log.document.aggregator, log.document.threshold, log.document.alpha): log.label for log in logs}
+    if len(kinds) > 1:
+        shown = "; ".join(f"{label}: {a}, {t} at {alpha:g}" for (a, t, alpha), label in kinds.items())
+        raise ValueError(
+            f"the runs were scored by mixed monitors ({shown}), expected one aggregate, threshold and alpha: report "
+            "them apart, or fit and score again"
+        )
+
+
 def _replicates(
     log: AlarmLog, signal: str, draws: int, seed: int
 ) -> tuple[dict[str, float], dict[str, NDArray[np.float64]]]:
@@ -79,13 +97,15 @@ def _replicates(
     traces = log.aggregates(signal)
     primary = compare_traces(traces, success, log.strata)
     matched = compare_traces(traces, success)
-    values = {"auroc": primary.auroc, "auroc_time_matched": matched.auroc}
-    replicates = {"auroc": primary.resampled(weights), "auroc_time_matched": matched.resampled(weights)}
+    largest = largest_aggregates(log, signal)
+    whole = compare_scores(largest, success)
+    compared = {"auroc": primary, "auroc_time_matched": matched, "auroc_whole": whole}
+    values = {name: table.auroc for name, table in compared.items()}
+    replicates = {name: table.resampled(weights) for name, table in compared.items()}
     if all(episode.flagged is not None for episode in log.document.episodes):
         counted = false_alarms(log, signal)
         values |= {name: float(rate) for name, rate in counted.rates().items()}
         replicates |= counted.rates(weights)
-    largest = largest_aggregates(log, signal)
     for rate in DETECTION_RATES:
         name = f"detected_{round(100 * rate)}"
         values[name] = detection_at(largest, success, rate).detected
