@@ -185,17 +185,11 @@ class DualheadPolicy(PreTrainedPolicy):
         rank = distributed.get_rank() if distributed.is_available() and distributed.is_initialized() else 0
         return {"seed": self.config.seed or 0, "step": int(self.training_step), "rank": rank}
 
-    def sensitivity(self, observation: Tensor, action: Tensor) -> dict[str, float]:
-        """Each head's relative change under a redrawn latent (tab:sensitivity); empty without a latent."""
-        if self.model.shared_latent is None:
-            return {}
-        return latent_sensitivity(self.model, observation, action, **self._draw_key())
-
     def measure(self, observation: Tensor, action: Tensor, token: Tensor | None) -> dict[str, dict[str, float]]:
         """What training logs beside the loss: ``residual`` (teacher-forced) and, with a latent, its sensitivity."""
         measured = {"residual": teacher_forced_residuals(self.model, observation, action, token, **self._draw_key())}
         if self.model.shared_latent is not None:
-            measured["latent_sensitivity"] = self.sensitivity(observation, action)
+            measured["latent_sensitivity"] = latent_sensitivity(self.model, observation, action, **self._draw_key())
         return measured
 
     def update(self) -> None:
