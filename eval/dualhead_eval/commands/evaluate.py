@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from dualhead_eval.commands.console import open_console, refuse_overwrite
 
 if TYPE_CHECKING:
+    from dualhead_eval.evaluation.protocol import EvaluationProtocol
     from dualhead_eval.gate import Gate
 
 #: Episodes rolled out where ``--episodes`` is not given.
@@ -37,6 +38,7 @@ Sample both heads of a policy (or of the exact reference) under the test conditi
 modes and write the counts to a gate file; or count the predictions in recorded rollouts.
 
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --output ring.gate.json
+  dualhead evaluate --policy outputs/A outputs/B --dataset data/ring/test --output gates/
   dualhead evaluate --exact --dataset data/ring/test --output exact.gate.json
   dualhead evaluate --exact --consistency-weight 3 --source-noise-beta 0 --dataset data/v2/test --output G.gate.json
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --record data/rollouts --output loop.gate.json
@@ -50,7 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of ``dualhead evaluate``."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     what = parser.add_argument_group("what to evaluate (one of)").add_mutually_exclusive_group(required=True)
-    what.add_argument("--policy", metavar="DIR", help="a checkpoint's folder, or a training run's output folder")
+    what.add_argument(
+        "--policy",
+        action="extend",
+        nargs="+",
+        metavar="DIR",
+        help="a checkpoint's folder, or a training run's output folder; of several, a gate file each",
+    )
     what.add_argument(
         "--exact",
         action="store_true",
@@ -58,7 +66,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what.add_argument("--rollouts", metavar="DIR", help="a LeRobotDataset of recorded rollouts")
     parser.add_argument("--dataset", metavar="DIR", help="split with the test conditions, e.g. data/ring/test")
-    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="gate file to write")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="gate file to write; of several policies, the folder of their gate files",
+    )
     parser.add_argument("--label", help="name of the run in tables (default: the output file's name)")
     parser.add_argument("--pairs", type=int, help="sample pairs per condition (default: 1280)")
     parser.add_argument("--conditions", type=int, help="use the first N conditions (default: all)")
@@ -112,7 +126,11 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: If an input does not exist.
         ValueError: If an input or option is unusable.
     """
-    refuse_overwrite([args.output], overwrite=args.overwrite)
+    several = len(args.policy or ()) > 1
+    if several:
+        _refuse_for_several(args)
+    else:
+        refuse_overwrite([args.output], overwrite=args.overwrite)
     if args.record is not None and not args.policy:
         raise ValueError("--record rolls out a policy: give --policy too")
     use = "rollouts" if args.rollouts else "record" if args.record else "exact" if args.exact else "policy"
@@ -127,12 +145,27 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.report.effects_table import effects_table
     from dualhead_eval.report.terminal import render_table
 
-    gate = {"rollouts": _rollouts, "record": _rolled_out}.get(use, _sampled)(args)
+    if several:
+        gates = _policies(args)
+    else:
+        gates = [{"rollouts": _rollouts, "record": _rolled_out}.get(use, _sampled)(args)]
 
     console = open_console()
-    console.print(render_table(effects_table(make_report([gate]))))
-    console.print(f"gate file: {args.output}")
+    console.print(render_table(effects_table(make_report(gates))))
+    console.print(f"gate file{'s in' if several else ''}: {args.output}")
     return 0
+
+
+def _refuse_for_several(args: argparse.Namespace) -> None:
+    """Refuse what is for one policy."""
+    for option in ("record", "label", "update_card"):
+        if getattr(args, option):
+            raise ValueError(
+                f"--{option.replace('_', '-')} is for one policy, {len(args.policy)} are given: leave it out, or "
+                "evaluate them one by one"
+            )
+    if args.output.exists() and not args.output.is_dir():
+        raise FileExistsError(f"{args.output} is a file, expected a folder for several gate files: choose another")
 
 
 def _refuse_unused(args: argparse.Namespace, use: str) -> None:
@@ -162,22 +195,42 @@ def _write(gate: Gate, args: argparse.Namespace) -> Gate:
     return gate
 
 
+def _protocol(args: argparse.Namespace) -> EvaluationProtocol:
+    from dualhead_eval.evaluation.protocol import EvaluationProtocol
+    from dualhead_policy.sampling import SamplingCoupling
+
+    return EvaluationProtocol(
+        **_given(args, pairs="pairs", nfes="nfe", seed="seed"),
+        taus=args.tau,
+        coupling=SamplingCoupling(source_noise_beta=args.source_noise_beta, share_token=not args.redraw_token),
+    )
+
+
+def _policies(args: argparse.Namespace) -> list[Gate]:
+    from tqdm import tqdm
+
+    from dualhead_eval.evaluation.conditions import open_conditions
+    from dualhead_eval.evaluation.many_policies import evaluate_policies
+
+    protocol, conditions = _protocol(args), open_conditions(args.dataset, args.conditions)
+    total = len(args.policy) * len(conditions) * len(protocol.nfes)
+    with tqdm(total=total, unit="condition", desc="sampling") as bar:
+        gates = evaluate_policies(
+            args.policy, conditions, protocol, args.output, overwrite=args.overwrite, progress=bar.update
+        )
+    return list(gates.values())
+
+
 def _sampled(args: argparse.Namespace) -> Gate:
     from tqdm import tqdm
 
     from dualhead_eval.evaluation.conditions import open_conditions
     from dualhead_eval.evaluation.open_loop import evaluate
     from dualhead_eval.evaluation.policy_card import update_card
-    from dualhead_eval.evaluation.protocol import EvaluationProtocol
     from dualhead_eval.evaluation.samplers import open_exact_reference, open_penalised_reference, open_policy
     from dualhead_policy.pretrained import policy_folder
-    from dualhead_policy.sampling import SamplingCoupling
 
-    protocol = EvaluationProtocol(
-        **_given(args, pairs="pairs", nfes="nfe", seed="seed"),
-        taus=args.tau,
-        coupling=SamplingCoupling(source_noise_beta=args.source_noise_beta, share_token=not args.redraw_token),
-    )
+    protocol = _protocol(args)
     conditions = open_conditions(args.dataset, args.conditions)
     if args.consistency_weight is not None:
         if args.token is not None:
@@ -188,12 +241,12 @@ def _sampled(args: argparse.Namespace) -> Gate:
         options = _given(args, token="token", token_replacement_prob="token_replacement_prob")
         sampler = open_exact_reference(conditions, **options)
     else:
-        sampler = open_policy(args.policy)
+        sampler = open_policy(args.policy[0])
     with tqdm(total=len(conditions) * len(protocol.nfes), unit="condition", desc="sampling") as bar:
         gate = evaluate(sampler, conditions, protocol, _label(args), progress=bar.update)
     _write(gate, args)
     if args.update_card:
-        print(f"numbers written to {update_card(sampler, policy_folder(args.policy), gate)}")
+        print(f"numbers written to {update_card(sampler, policy_folder(args.policy[0]), gate)}")
     return gate
 
 
@@ -217,7 +270,7 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
         raise ValueError(
             f"--perturb has no meaning in {env_id}: leave it out, only the robot environments are perturbed"
         )
-    policy, preprocess = load_policy(args.policy)
+    policy, preprocess = load_policy(args.policy[0])
     episodes = EPISODES if args.episodes is None else args.episodes
     with tqdm(total=episodes, unit="episode", desc="rolling out") as bar:
         loop, verdict = record_rollouts(
@@ -228,7 +281,7 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
             env_kwargs={**env_kwargs, "control": args.control or "joint", **_given(args, perturbation="perturb")},
             episodes=episodes,
             **_given(args, samples="samples", seed="seed"),
-            provenance=policy_provenance(policy, policy_folder(args.policy)),
+            provenance=policy_provenance(policy, policy_folder(args.policy[0])),
             progress=bar.update,
         )
     for refusal in loop.refusals:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from dualhead_eval.evaluation.conditions import ConditionBank
 from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, make_gate
@@ -50,8 +51,15 @@ def evaluate(
         pair_ids=conditions.pair_ids,
         partition=conditions.partition,
         target_probabilities=conditions.target_probabilities,
-        provenance={"label": label, **sampler.provenance, **conditions.provenance, **protocol.describe()},
+        provenance=gate_provenance(sampler, conditions, protocol, label),
     )
+
+
+def gate_provenance(
+    sampler: EvaluatedSampler, conditions: ConditionBank, protocol: EvaluationProtocol, label: str
+) -> dict[str, Any]:
+    """What a gate says of its evaluation, beside versions and partition."""
+    return {"label": label, **sampler.provenance, **conditions.provenance, **protocol.describe()}
 
 
 def _label_pairs(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.torch import load_file, save_file
 
 from dualhead_eval.cli import main
 from dualhead_eval.gate.file import read_gate
@@ -63,6 +65,42 @@ def test_recorded_rollouts_are_a_lerobot_dataset_that_evaluates_to_the_same_gate
     assert (read_gate(output).counts == read_gate(again).counts).all()
     # The oracle token is held through the episode: the pair that follows it is no draw of its decision.
     assert read_gate(again).counts.sum() == 3 * (4 - 1)
+
+
+def test_many_policies_become_the_gates_of_evaluating_each_alone(trained, ring_data, tmp_path, capsys):
+    runs = [shutil.copytree(policy_folder(trained), tmp_path / "runs" / name) for name in ("first", "second")]
+    # The second stands for another seed of the same setting.
+    weights = {
+        name: 1.01 * value for name, value in load_file(runs[1] / "model.safetensors").items() if "output" in name
+    }
+    save_file(load_file(runs[1] / "model.safetensors") | weights, runs[1] / "model.safetensors")
+    for name in ("config.json", "train_config.json"):
+        content = json.loads((runs[1] / name).read_text())
+        (runs[1] / name).write_text(json.dumps(content | {"seed": 1001}))
+    common = ["--dataset", str(ring_data / "test"), "--pairs", "16"]
+    arguments = ["evaluate", *common, "--policy", *map(str, runs), "--output", str(tmp_path / "gates")]
+    assert main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "first" in shown
+    assert "second" in shown
+    assert main(["evaluate", *common, "--policy", str(runs[1]), "--output", str(tmp_path / "second.gate.json")]) == 0
+    alone, among = tmp_path / "second.gate.json", tmp_path / "gates" / "second.gate.json"
+    assert alone.read_text() == among.read_text()
+    # What an interrupted command finished is kept; what another protocol would replace is refused.
+    written = among.stat().st_mtime_ns
+    (tmp_path / "gates" / "first.gate.json").unlink()
+    assert main(arguments) == 0
+    assert among.stat().st_mtime_ns == written
+    capsys.readouterr()
+    assert main([*arguments, "--seed", "1"]) == 2
+    assert "holds another evaluation" in capsys.readouterr().err
+    assert main([*arguments, "--update-card"]) == 2
+    assert "is for one policy, 2 are given" in capsys.readouterr().err
+    assert main([*arguments, "--policy", str(runs[0])]) == 2
+    assert "two policies are called 'first'" in capsys.readouterr().err
+    copied = shutil.copytree(runs[0], tmp_path / "runs" / "copied")
+    assert main([*arguments, "--policy", str(copied)]) == 2
+    assert "hold the same checkpoint" in capsys.readouterr().err
 
 
 def test_protocol_numbers_reach_the_policys_card(trained, ring_data, tmp_path):
