@@ -30,10 +30,10 @@ def test_a_dataset_folder_prints_its_card(ring_data, report_command, tmp_path, c
     with pytest.raises(FileNotFoundError, match=r"no card\.json"):
         report_command(tmp_path)
     (tmp_path / "card.json").write_text('{"a": 1}')
-    with pytest.raises(ValueError, match="'measured'"):
+    with pytest.raises(ValueError, match="lacks the field"):
         report_command(tmp_path)
     (tmp_path / "card.json").write_text('{"a": ')
-    with pytest.raises(ValueError, match="not complete JSON"):
+    with pytest.raises(ValueError, match="truncated or not JSON"):
         report_command(tmp_path)
 
 

@@ -50,11 +50,16 @@ def test_undefined_numbers_are_words(make_gate, printed):
     assert "undefined" in printed(terminal.render_table(effects_table(report)))
 
 
-def test_the_effects_fit_a_narrow_terminal(make_gate, printed):
-    report = make_report([make_gate("shared noise (nullspace)", 0.3), make_gate("token", 1.0, k=4)])
-    text = printed(terminal.render_table(effects_table(report)), width=80)
-    for whole in ("coordinated", "in part", "+100.0%", "[+100.0,+100.0]", "K", "±100.0%"):
-        assert any(whole in line for line in text.splitlines())
+@pytest.mark.parametrize("width", [50, 80, 100, 160])
+def test_no_column_is_lost_on_a_narrow_terminal(width, report, printed):
+    for table in report_tables(report) + paper_tables(report):
+        text = printed(terminal.render_table(table), width=width)
+        assert max(map(len, text.splitlines())) <= width
+        # Words may be broken over lines, numbers are not.
+        for row in table.rows:
+            for cell, column in zip(row, table.columns, strict=True):
+                numbers = [] if column.text or column.detail else getattr(cell, "text", cell).split()
+                assert all(number in text for number in numbers), (table.title, column.name)
 
 
 @pytest.mark.parametrize("label", ["[red]danger[/red]", "[/]", "<b>bold & co</b>", "clear\x1b[2Jscreen", "two\nlines"])
