@@ -81,6 +81,7 @@ def _fit(args: argparse.Namespace) -> int:
     from dualhead_eval.monitor.monitor import Monitor
     from dualhead_eval.monitor.monitor_file import save_monitor
     from dualhead_eval.monitor.recorded_episodes import training_decisions
+    from dualhead_eval.monitor.signals.observation import LargestDeviation
 
     refuse_occupied(args.output)
     monitor = Monitor(args.signals, args.aggregator, args.threshold)
@@ -100,7 +101,11 @@ def _fit(args: argparse.Namespace) -> int:
     save_monitor(monitor, args.output, layout=layout, samples=samples, provenance=provenance)
     for channel in monitor.channels:
         limits = next(iter(channel.threshold.learned().values()))
-        print(f"{channel.signal.name}: threshold {_brief(limits)} {channel.signal.unit}; {channel.threshold.guarantee}")
+        unit = "" if channel.signal.unit == "1" else f" {channel.signal.unit}"
+        print(f"{channel.signal.name}: threshold {_brief(limits)}{unit}; {channel.threshold.guarantee}")
+        if isinstance(channel.signal, LargestDeviation) and channel.signal.left_out.size:
+            constant = ", ".join(recordings[0].names[i] for i in channel.signal.left_out)
+            print(f"  left out because they never vary: {constant}")
     print(f"monitor: {args.output}, fitted on {len(kept)} episodes")
     return 0
 
@@ -108,8 +113,10 @@ def _fit(args: argparse.Namespace) -> int:
 def _score(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
+    from dualhead_eval.certificate.certificate import CoordinationCertificate
     from dualhead_eval.commands.console import refuse_overwrite
     from dualhead_eval.monitor.monitor_file import load_monitor, require_layout
+    from dualhead_eval.monitor.monitored_heads import certified, describe
     from dualhead_eval.monitor.scores_file import score_episodes, write_scores
 
     refuse_overwrite([args.output], overwrite=args.overwrite)
@@ -130,9 +137,14 @@ def _score(args: argparse.Namespace) -> int:
                 f"{min(shared)}), expected other initial states: record with another --seed"
             )
 
+    partition = recordings[0].builder.partition
+    assert partition is not None
+    certificate = CoordinationCertificate(n_modes=partition.n_modes)
+
     def episodes() -> Iterator[Episode]:
         for recorded in recordings:
-            yield from _episodes(args, recorded)
+            held = 0 if args.policy else int(recorded.sidecar.get("held_pairs") or 0)
+            yield from certified(_episodes(args, recorded), certificate, held)
 
     with tqdm(total=sum(map(len, recordings)), unit="episode", desc="scoring") as bar:
         table = score_episodes(monitor, episodes(), bar.update)
@@ -147,9 +159,13 @@ def _score(args: argparse.Namespace) -> int:
             "rollouts": [str(path) for path in args.rollouts],
             "policy": args.policy,
             "seed": args.seed,
+            "heads": describe(certificate),
         },
     }
     write_scores(table, args.output, provenance)
+    heads = provenance["provenance"]["heads"]
+    where = "where two modes are open" if args.flag_data else "over all decisions"
+    print(f"the heads {where}: {heads['verdict']}" + (f" ({heads['reason']})" if heads["reason"] else ""))
     print(f"scores of {table.num_rows} decisions: {args.output}")
     return 0
 

@@ -30,12 +30,14 @@ class RecordedEpisodes:
         sidecar: Its ``meta/dualhead.json``.
         columns: Its columns by key, in order of the frames.
         builder: Makes its decisions.
+        names: Names of the observed dimensions, their number where they have none.
     """
 
     root: Path
     sidecar: dict[str, Any]
     columns: dict[str, NDArray]
     builder: DecisionBuilder
+    names: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -141,7 +143,11 @@ def open_rollouts(root: str | Path, *, flag: Callable[[NDArray[np.float64]], boo
         environment_partition(sidecar["env_id"], sidecar["env_kwargs"], str(root / SIDECAR)),
         flag,
     )
-    return RecordedEpisodes(root, sidecar, columns, builder)
+    named: list[str] = []
+    for key in OBSERVATIONS:
+        width = columns[key].shape[1]
+        named += info["features"][key].get("names") or [f"{key}.{i}" for i in range(width)]
+    return RecordedEpisodes(root, sidecar, columns, builder, tuple(named))
 
 
 def training_decisions(root: str | Path) -> list[Decision]:

@@ -50,7 +50,7 @@ def monitor_tables(logs: Sequence[AlarmLog], measured: Measured, *, draws: int =
         ValueError: If the runs were scored by monitors that aggregate or calibrate differently.
     """
     require_one_monitor(logs)
-    tables = [_episodes(logs), _signals(logs, measured, draws), _horizons(logs), _delays(logs)]
+    tables = [_episodes(logs), _heads(logs), _signals(logs, measured, draws), _horizons(logs), _delays(logs)]
     if len(logs) > 1:
         tables.append(_differences(logs, draws))
     return tables
@@ -75,6 +75,31 @@ def _episodes(logs: Sequence[AlarmLog]) -> Table:
         Column("compared", f"whether the stratum has {FEWEST} of both, which AUROC needs", text=True),
     )
     return Table("The episodes", columns, tuple(rows))
+
+
+def _heads(logs: Sequence[AlarmLog]) -> Table:
+    rows: list[tuple[str | Cell, ...]] = []
+    for log in logs:
+        heads = log.document.provenance.get("heads")
+        if not isinstance(heads, dict):
+            continue
+        numbers = (number(heads.get(name), ".3f") for name in ("valid_rate", "delta", "capacity", "rho"))
+        low, high = heads.get("capacity_bounds", (float("nan"),) * 2)
+        rows.append(
+            (log.label, str(heads.get("decisions")), *numbers, f"[{low:.3f},{high:.3f}]", str(heads.get("verdict")))
+        )
+    columns = (
+        Column("run", text=True),
+        Column("decisions"),
+        Column("valid"),
+        Column("\N{GREEK CAPITAL LETTER DELTA}"),
+        Column("C", "how much the heads could coordinate; without it no monitor can be blamed for their disagreement"),
+        Column("\N{GREEK SMALL LETTER RHO}"),
+        Column("C at all times", "bounds that hold jointly and at all times with probability 95 %"),
+        Column("verdict", text=True),
+    )
+    scope = "certificate over the decisions at which two modes are open, or over all without --flag-data"
+    return Table("The monitored heads", columns, tuple(rows), scope)
 
 
 def _signals(logs: Sequence[AlarmLog], measured: Measured, draws: int) -> Table:

@@ -222,4 +222,4 @@ def test_the_figures_show_what_the_runs_allow():
     for episode in nominal.document.episodes:
         episode.success = True
     assert set(monitor_figures([nominal], {})) == set()
-    assert len(monitor_tables([log, log], measured, draws=20)) == 5
+    assert len(monitor_tables([log, log], measured, draws=20)) == 6

@@ -30,6 +30,10 @@ def test_a_recording_is_scored_and_reported(monitor, rollouts, tmp_path, capsys)
     # Failures disagree ten times as much: the residual finds every one, the elapsed steps none.
     assert (table.groupby("episode")["residual.alarm"].last()[~table.groupby("episode")["success"].first()]).all()
     log = AlarmLog.read(tmp_path / "run.alarm.json")
+    heads = log.document.provenance["heads"]
+    assert heads["decisions"] == 40 * 3
+    assert heads["delta"] == pytest.approx(0.5, abs=0.05)
+    assert heads["capacity"] == pytest.approx(0.5, abs=0.05)
     assert log.signals == ["residual", "variance_position", "elapsed"]
     line = next(line for line in shown.splitlines() if " residual " in line)
     assert "1.000" in line
@@ -41,6 +45,12 @@ def test_a_recording_is_scored_and_reported(monitor, rollouts, tmp_path, capsys)
     assert main(["monitor", "report", str(tmp_path / "run.alarm.json"), "--draws", "50"]) == 0
     again = capsys.readouterr().out
     assert line in again
+
+
+def test_dimensions_that_never_vary_are_left_out_by_name(rollouts, tmp_path, capsys):
+    arguments = ["monitor", "fit", str(rollouts["calibration"]), "--output", str(tmp_path / "M")]
+    assert main([*arguments, "--signals", "max_abs_z", "--alpha", "0.1"]) == 0
+    assert "never vary: observation.environment_state.0, " in capsys.readouterr().out
 
 
 def test_another_policy_is_fitted_and_scored_on_the_same_recording(rollouts, trained, tmp_path):
