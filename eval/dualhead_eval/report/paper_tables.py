@@ -59,13 +59,13 @@ def _notes(sites: tuple[SiteComparison, ...]) -> list[str]:
     notes = []
     assigned, spread = ([c for c in sites if getattr(c, name) is not None] for name in ("agrees", "within_spread"))
     same, inside = sum(c.agrees is True for c in assigned), sum(c.within_spread is True for c in spread)
-    notes.append(
-        f"{same} of the {len(assigned)} runs whose row has a site lie there; {inside} of the {len(spread)} whose row "
-        "has several seeds lie within their spread"
-    )
+    if assigned:
+        notes.append(f"{same} of {len(assigned)} runs whose row the paper assigns a site lie there")
+    if spread:
+        notes.append(f"{inside} of {len(spread)} runs whose row has several seeds in the paper lie within their spread")
     alike = sum(departures(c.run.training) == NOTHING for c in sites)
     notes.append(
-        f"{alike} of the {len(sites)} runs were trained as the paper's in all that is known (network, noise, padding, "
+        f"{alike} of {len(sites)} runs were trained as the paper's in all that is known (network, noise, padding, "
         "learning rate, batch size, steps); a page says in what each departs"
     )
     notes += [
