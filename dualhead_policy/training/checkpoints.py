@@ -139,6 +139,12 @@ def last_checkpoint(output_dir: str | Path) -> Path | None:
     return link.resolve() if link.exists() else None
 
 
+def last_step(output_dir: str | Path) -> int:
+    """The step of a run's newest complete checkpoint, 0 if it has none yet."""
+    last = last_checkpoint(output_dir)
+    return 0 if last is None else int(last.name)
+
+
 @contextmanager
 def naming_what_stands(output_dir: Path, what: Path) -> Iterator[None]:
     """Turn an error of writing ``what`` into a sentence that names it and the last complete checkpoint.

@@ -21,6 +21,7 @@ from dualhead_policy.hub_folder import processor_folder
 from dualhead_policy.modeling_dualhead import MEASURE_EVERY, DualheadPolicy
 from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
 from dualhead_policy.processor_loading import load_processors
+from dualhead_policy.training.array_store import ArrayStore
 from dualhead_policy.training.checkpoints import (
     WindowOrigin,
     checkpoint_folder,
@@ -156,10 +157,10 @@ class Training:
         assert self.cfg.optimizer is not None
         return self.cfg.optimizer.grad_clip_norm
 
-    def share_windows(self, other: Training) -> None:
-        """Hold the windows in ``other``'s memory where both train on the same, so that many runs hold them once."""
-        if isinstance(self.source, RecordedWindows) and isinstance(other.source, RecordedWindows):
-            self.source.share(other.source)
+    def share_windows(self, store: ArrayStore) -> None:
+        """Hold the recorded windows in ``store``, so that many runs hold them once."""
+        if isinstance(self.source, RecordedWindows):
+            self.source.share(store)
 
     def save(self) -> Path:
         """Write a checkpoint of the current step; returns its ``pretrained_model`` folder."""

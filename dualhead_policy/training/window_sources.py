@@ -14,6 +14,7 @@ from dualhead_envs.dataset_frames import SplitFrames
 from dualhead_envs.ring.generator import RingGenerator
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS
 from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.training.array_store import ArrayStore
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,12 @@ class RecordedWindows:
     def __len__(self) -> int:
         return len(self._sampler)
 
-    def share(self, other: RecordedWindows) -> None:
-        """Use ``other``'s arrays in place of equal ones of its own; the order of visits stays its own."""
+    def share(self, store: ArrayStore) -> None:
+        """Hold the arrays in ``store``, where all runs of a machine find theirs; the order of visits stays its own."""
         for name in ("_observation", "_action", "_last_frame", "_token"):
-            own, theirs = getattr(self, name), getattr(other, name)
-            if own is not None and theirs is not None and torch.equal(own, theirs):
-                setattr(self, name, theirs)
+            own = getattr(self, name)
+            if own is not None:
+                setattr(self, name, store.shared(own))
 
     def batch(self, step: int) -> Batch:
         """The batch of training step ``step``."""

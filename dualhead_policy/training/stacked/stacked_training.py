@@ -32,8 +32,6 @@ class StackedTraining:
         steps = sorted({training.step for training in trainings})
         if len(steps) != 1:
             raise ValueError(f"the runs of a stack are at steps {steps}, expected one: continue each alone")
-        for training in trainings[1:]:
-            training.share_windows(trainings[0])
         self.trainings = trainings
         self._model = StackedModel([training.policy.model for training in trainings], compute_dtype)
         self._parameters = list(self._model.parameters.values())

@@ -10,10 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dualhead_policy.training.checkpoints import last_step
 from dualhead_policy.training.sweep.sweep_file import SweepRun
 
 #: Seconds between two reports of a group.
 REPORT_SECONDS = 0.5
+#: Seconds for which a run's folder may still be held by a process that is about to end.
+CLAIM_SECONDS = 10.0
 #: Steps between two looks at the losses: they stay on the device in between.
 LOOK_EVERY = 50
 
@@ -84,14 +87,20 @@ def _train_members(group: Group, runs: Sequence[SweepRun], outcome: dict[str, di
             # Runs of one group are at one step, unless somebody has continued or deleted one of them.
             for together in by_step.values():
                 failed = _train_together(group, together)
-                for name, training in together.items():
+                for name in together:
                     sentence = failed.get(name)
                     ended = {"state": "failed", "error": sentence} if sentence else {"state": "finished"}
-                    outcome[name] = ended | {"step": _last_step(training)}
+                    outcome[name] = ended | {"step": last_step(group.output / name)}
         return
     except (torch.OutOfMemoryError, MemoryError, RuntimeError) as error:
         if not isinstance(error, torch.OutOfMemoryError | MemoryError) and "allocate memory" not in str(error):
             raise
+    except OSError as error:
+        for run in runs:
+            outcome.setdefault(
+                run.name, {"state": "failed", "error": str(error), "step": last_step(group.output / run.name)}
+            )
+        return
     left = [run for run in runs if run.name not in outcome]
     gc.collect()
     if torch.cuda.is_available():
@@ -111,27 +120,20 @@ def _train_members(group: Group, runs: Sequence[SweepRun], outcome: dict[str, di
     _train_members(group, left[half:], outcome)
 
 
-def _last_step(training: Any) -> int:
-    from dualhead_policy.training.checkpoints import last_checkpoint
-
-    last = last_checkpoint(training.cfg.output_dir)
-    return 0 if last is None else int(last.name)
-
-
 def _built(
     group: Group, runs: Sequence[SweepRun], outcome: dict[str, dict[str, Any]], stack: contextlib.ExitStack
 ) -> Iterator[tuple[str, Any]]:
     """The trainings that can go on; what cannot is written into ``outcome``."""
     from dualhead_policy.training.arguments import parse_training_config
+    from dualhead_policy.training.array_store import ArrayStore
     from dualhead_policy.training.checkpoints import last_checkpoint
-    from dualhead_policy.training.run import claimed_run
     from dualhead_policy.training.trainer import Training
 
-    first: Training | None = None
+    store = ArrayStore(group.output / ".windows")
     for run in runs:
         folder = group.output / run.name
         try:
-            stack.enter_context(claimed_run(folder))
+            stack.enter_context(_claimed_soon(folder))
             begun = last_checkpoint(folder) is not None
             arguments = ["--resume=true"] if begun else list(run.arguments)
             cfg = parse_training_config([*arguments, f"--output_dir={folder}"], None if begun else run.preset)
@@ -142,11 +144,26 @@ def _built(
         if training.step >= cfg.steps:
             outcome[run.name] = {"state": "finished", "step": training.step}
             continue
-        if first is None:
-            first = training
-        else:
-            training.share_windows(first)
+        training.share_windows(store)
         yield run.name, training
+
+
+@contextlib.contextmanager
+def _claimed_soon(folder: Path) -> Iterator[None]:
+    """A run's folder for this process alone; the workers of a command that was killed need a moment to end."""
+    from dualhead_policy.training.run import claimed_run
+
+    until = time.monotonic() + CLAIM_SECONDS
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(claimed_run(folder))
+                break
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    raise
+                time.sleep(0.1)
+        yield
 
 
 def _train_together(group: Group, trainings: dict[str, Any]) -> dict[str, str]:

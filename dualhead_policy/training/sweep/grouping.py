@@ -64,7 +64,7 @@ def plan_runs(runs: Sequence[SweepRun], output: Path) -> list[PlannedRun]:
         content = {
             name: value
             for name, value in parsed[seedless].items()
-            if name not in ("output_dir", "job_name", "checkpoint_path", "wandb")
+            if name not in ("output_dir", "job_name", "checkpoint_path", "wandb", "dataset", "num_workers")
         }
         signature = datasets[run.dataset]
         identity = {"training": content | {"seed": run.seed}, "data": signature["data"], "fresh": run.fresh_paths}

@@ -10,11 +10,12 @@ from pydantic import Field
 
 from dualhead_envs.atomic_files import write_atomically
 from dualhead_envs.validated_json import Schema, read_validated
+from dualhead_policy.training.checkpoints import last_step
 from dualhead_policy.training.sweep.grouping import PlannedRun, make_groups
 
 MANIFEST_FILE = "sweep.json"
 
-State = Literal["waiting", "training", "finished", "failed"]
+State = Literal["waiting", "finished", "failed"]
 
 
 class RunRecord(Schema):
@@ -24,7 +25,7 @@ class RunRecord(Schema):
         fingerprint: Of its configuration and data; a run never goes on under another.
         group: The group that it trains in.
         steps: Its budget.
-        state: ``"waiting"``, ``"training"``, ``"finished"`` or ``"failed"``.
+        state: ``"waiting"`` (for its end), ``"finished"`` or ``"failed"``.
         step: Step of its last complete checkpoint.
         error: Why it failed.
     """
@@ -58,6 +59,17 @@ class Manifest(Schema):
         """This manifest with fields of some runs changed."""
         runs = {name: record.model_copy(update=dict(changes.get(name, {}))) for name, record in self.runs.items()}
         return self.model_copy(update={"runs": runs})
+
+    def as_found(self, output: Path) -> Manifest:
+        """This manifest with every run's step, and whether it has finished, as its checkpoints say."""
+        changes: dict[str, dict[str, object]] = {}
+        for name, record in self.runs.items():
+            changes[name] = {"step": last_step(output / name)}
+            if changes[name]["step"] == record.steps:
+                changes[name] |= {"state": "finished", "error": None}
+            elif record.state == "finished":
+                changes[name] |= {"state": "waiting"}
+        return self.updated(changes)
 
     def write(self, output: Path) -> None:
         """Write it into the sweep's folder, in one step."""

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed, parallel_config
+from joblib import Parallel, delayed
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dualhead_envs.recording.claim import claimed
-from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers
+from dualhead_envs.worker_processes import interrupts_kept_from_workers
 from dualhead_policy.training.sweep.group_training import Group, train_group
 from dualhead_policy.training.sweep.grouping import plan_runs
 from dualhead_policy.training.sweep.manifest import Manifest, continue_manifest, read_manifest
 from dualhead_policy.training.sweep.sweep_file import SweepRun
+from dualhead_policy.training.sweep.workers import workers
 
 #: Seconds between two looks at how far the groups are.
 LOOK_SECONDS = 1.0
@@ -32,7 +32,8 @@ def run_sweep(
     jobs: int,
     size: int,
     precision: str,
-    backend: str = "loky",
+    backend: str = "local",
+    address: str | None = None,
     show_progress: bool = True,
 ) -> Manifest:
     """Train every run that is not finished yet.
@@ -43,7 +44,7 @@ def run_sweep(
         jobs: Groups at a time.
         size: Largest number of runs in a group.
         precision: ``"fp32"`` or ``"bf16"``.
-        backend: Backend of joblib.
+        backend, address: Where the groups train; see :mod:`.workers`.
         show_progress: Whether to draw a bar.
 
     Returns:
@@ -53,11 +54,12 @@ def run_sweep(
         BlockingIOError: If another command trains the sweep.
         ValueError: If a configuration is wrong, or a run was begun with another.
     """
+    output = output.resolve()
     output.parent.mkdir(parents=True, exist_ok=True)
     planned = plan_runs(runs, output)
     by_name = {run.name: run for run in runs}
     with claimed(output.with_name(f".{output.name}.sweep"), output):
-        manifest = continue_manifest(read_manifest(output), planned, size=size, jobs=jobs)
+        manifest = continue_manifest(read_manifest(output), planned, size=size, jobs=jobs).as_found(output)
         manifest.write(output)
         groups = []
         for name, members in manifest.groups().items():
@@ -66,9 +68,9 @@ def run_sweep(
             )
             if todo:
                 groups.append(Group(name, output, todo, precision, 1 if jobs > 1 else None))
-        # Other backends have workers on other machines, which their own schedulers end.
-        ending = {"initializer": end_with, "initargs": (os.getpid(),)} if backend == "loky" else {}
-        with _shown(manifest, groups, show_progress), parallel_config(backend=backend, **ending):
+        with workers(backend, address), _shown(manifest, groups, show_progress):
+            if not groups:
+                return manifest
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="all")
             with interrupts_kept_from_workers():
                 outcomes = parallel(delayed(train_group)(group) for group in groups)

@@ -73,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_envs.recording.card_table import render_card
     from dualhead_eval.report.content import make_report
     from dualhead_eval.report.inputs import read_inputs
+    from dualhead_eval.report.sweep_lines import sweep_lines
     from dualhead_eval.report.tables import paper_tables, report_tables
     from dualhead_eval.report.terminal import render_table
 
@@ -80,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
     inputs = read_inputs(args.inputs)
     for folder, card in inputs.cards.items():
         console.print(render_card(card, title=f"Geometry card of {folder}"))
+    for folder, manifest in inputs.sweeps.items():
+        console.print(*sweep_lines(folder, manifest), sep="\n", markup=False, highlight=False)
     if not inputs.gates and any(output is not None for output in outputs):
         raise ValueError("no gate file was given, expected at least one for the outputs asked for: add GATE files")
     report = make_report(inputs.gates, inputs.loops, tau=args.tau, nfe=args.nfe)

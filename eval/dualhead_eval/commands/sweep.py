@@ -36,7 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="fp32",
         help="type in which the velocity fields compute (default: fp32; docs/sweeps.md compares them)",
     )
-    parser.add_argument("--backend", default="loky", help="joblib backend: loky (default, local processes), ray, dask")
+    parser.add_argument(
+        "--backend",
+        choices=["local", "dask", "ray"],
+        default="local",
+        help="where the groups train: processes of this machine (default), or a cluster at --address",
+    )
+    parser.add_argument("--address", help="the cluster's scheduler, for example tcp://host:8786")
     parser.add_argument("--no-progress", action="store_true", help="do not draw a progress bar")
 
 
@@ -60,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
         size=args.stack,
         precision=args.precision,
         backend=args.backend,
+        address=args.address,
         show_progress=not args.no_progress,
     )
     finished = sum(record.state == "finished" for record in manifest.runs.values())

@@ -10,6 +10,7 @@ from dualhead_envs.recording.geometry_card import GeometryCard, read_geometry_ca
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, ClosedLoop, read_closed_loop
 from dualhead_eval.gate.file import read_gate
 from dualhead_eval.gate.gate import Gate
+from dualhead_policy.training.sweep.manifest import MANIFEST_FILE, Manifest, read_manifest
 
 #: How a gate file's name ends where folders are searched for them.
 GATE_SUFFIX = ".gate.json"
@@ -23,12 +24,14 @@ class ReportInputs:
         gates: Gates in the order given; those of a folder by name.
         cards: Geometry cards of recorded datasets, by folder.
         loops: Closed-loop outcomes by name.
+        sweeps: Manifests of sweeps, by folder.
         from_folder: Whether a folder of results was among the inputs.
     """
 
     gates: list[Gate] = field(default_factory=list)
     cards: dict[Path, GeometryCard] = field(default_factory=dict)
     loops: list[tuple[str, ClosedLoop]] = field(default_factory=list)
+    sweeps: dict[Path, Manifest] = field(default_factory=dict)
     from_folder: bool = False
 
 
@@ -36,7 +39,7 @@ def read_inputs(paths: Iterable[Path]) -> ReportInputs:
     """Read everything that a report is about.
 
     Args:
-        paths: Gate files; ``*.rollouts.json`` files; folders of rollouts, of recorded datasets (with their
+        paths: Gate files; ``*.rollouts.json`` files; folders of sweeps, of rollouts, of recorded datasets (with their
             ``card.json``), or of gate and rollout files.
 
     Raises:
@@ -49,6 +52,8 @@ def read_inputs(paths: Iterable[Path]) -> ReportInputs:
             _read_file(path, inputs)
         elif (path / "card.json").is_file():
             inputs.cards[path] = read_geometry_card(path / "card.json")
+        elif (path / MANIFEST_FILE).is_file():
+            _read_sweep(path, inputs)
         elif (path / "meta" / "dualhead.json").is_file():
             inputs.loops.append(read_closed_loop(path))
         else:
@@ -62,6 +67,16 @@ def read_inputs(paths: Iterable[Path]) -> ReportInputs:
             for file in found:
                 _read_file(file, inputs)
     return inputs
+
+
+def _read_sweep(path: Path, inputs: ReportInputs) -> None:
+    """A sweep's folder: how far it is, and the gate files of its runs."""
+    manifest = read_manifest(path)
+    assert manifest is not None
+    inputs.sweeps[path] = manifest.as_found(path)
+    inputs.from_folder = True
+    for file in sorted([*path.rglob("*" + GATE_SUFFIX), *path.rglob("*" + ROLLOUTS_SUFFIX)]):
+        _read_file(file, inputs)
 
 
 def _read_file(path: Path, inputs: ReportInputs) -> None:
