@@ -38,12 +38,16 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
     given = list(arguments)
     resume = (parser.parse_arg("resume", given) or "false").lower() in ("true", "1", "yes")
     complete: list[str] = []
-    if resume and not parser.parse_arg("config_path", given):
+    config_file = parser.parse_arg("config_path", given)
+    if config_file:
+        check_config_file(Path(config_file))
+    if resume and not config_file:
         checkpoint = _checkpoint_config(given)
         if checkpoint is None:
             # Interrupted before its first checkpoint: the run starts again.
             resume, given = False, parser.filter_arg("resume", given)
         else:
+            check_config_file(checkpoint)
             complete = [f"--config_path={checkpoint}"]
     if not resume:
         root = parser.parse_arg("dataset.root", given)
@@ -53,16 +57,13 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
             )
         complete = ["--env_eval_freq=0"]
         # A configuration file brings its own budget; a preset that is asked for overrides it.
-        budget = preset or (None if parser.parse_arg("config_path", given) else "smoke")
+        budget = preset or (None if config_file else "smoke")
         if budget is not None:
             complete += [f"--{name}={value}" for name, value in PRESETS[budget].items()]
         if not parser.parse_arg("dataset.repo_id", given):
             complete.append(f"--dataset.repo_id=local/{Path(root).resolve().parent.name}")
         if not (parser.get_path_arg("policy", given) or parser.get_type_arg("policy", given)):
             complete.insert(0, "--policy.type=dualhead")
-    config_file = parser.parse_arg("config_path", [*complete, *given])
-    if config_file:
-        check_config_file(Path(config_file))
     with _command_line([*complete, *given]):
         cfg = _parse()
         _validate(cfg)
@@ -123,7 +124,7 @@ def _parse() -> TrainPipelineConfig:
         while (deeper := cause.__cause__ or cause.__context__) is not None:
             cause = deeper
         if isinstance(cause, ValueError) and str(cause).startswith("policy."):
-            raise cause from error  # a sentence of DualheadConfig, which draccus wraps in its own
+            raise ValueError(str(cause)) from error  # a sentence of DualheadConfig, which draccus wraps in its own
         text = complaint.getvalue().strip() or str(error)
         reason = text.splitlines()[-1].strip().removeprefix("dualhead train: error: ")
         raise ValueError(

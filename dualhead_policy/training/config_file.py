@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from dualhead_envs.validated_json import read_json
+from dualhead_envs.validated_json import read_json, shown
 
 #: Largest configuration file, in bytes.
 MAX_BYTES = 2**20
@@ -33,6 +33,12 @@ def check_config_file(path: Path) -> None:
     content = read_json(path, kind=KIND, remedy=REMEDY) if path.suffix == ".json" else _read_yaml(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path} holds no mapping of fields, expected {KIND}: {REMEDY}")
+    policy = content.get("policy")
+    if isinstance(policy, dict) and policy.get("type", "dualhead") != "dualhead":
+        raise ValueError(
+            f"{path} has policy.type = {shown(policy['type'])}, expected 'dualhead': use lerobot-train for other "
+            "policies"
+        )
     if _values(content, MAX_DEPTH) > MAX_VALUES:
         raise ValueError(f"{path} holds more than {MAX_VALUES} values or is nested deeper than {MAX_DEPTH}: {REMEDY}")
 

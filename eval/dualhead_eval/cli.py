@@ -95,9 +95,13 @@ def _parse_and_run(module_name: str, prog: str, arguments: list[str]) -> int:
 
 def _was_interrupted(error: BaseException | None) -> bool:
     """Whether Ctrl-C is behind ``error``: a library that it meets while importing may raise an error of its own."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+    seen: set[int] = set()  # an error raised from what it caused is its own cause in the end
+    while error is not None and id(error) not in seen:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        seen.add(id(error))
         error = error.__cause__ or error.__context__
-    return error is not None
+    return False
 
 
 def _sentence(error: BaseException) -> object:

@@ -45,6 +45,13 @@ def test_an_error_is_one_line(command, capsys, error, status, line):
     assert written[:-1].isprintable()
 
 
+def test_an_error_that_is_its_own_cause_ends(command, capsys):
+    first, second = ValueError("first"), ValueError("second")
+    first.__cause__, second.__cause__ = second, first
+    assert command(first)() == 2
+    assert capsys.readouterr().err == "dualhead: error: first\n"
+
+
 def test_the_traceback_of_what_nobody_expected_is_shown_on_request(command, monkeypatch):
     monkeypatch.setenv(cli.TRACEBACK, "1")
     with pytest.raises(TypeError):
