@@ -12,7 +12,7 @@ from dualhead_eval.monitor.decision import Decision, Episode
 from dualhead_eval.monitor.signals.registry import make_signal
 from dualhead_eval.monitor.signals.signal import Signal
 from dualhead_eval.monitor.thresholds.registry import make_threshold
-from dualhead_eval.monitor.thresholds.threshold import Threshold, Trace, needed_episodes
+from dualhead_eval.monitor.thresholds.threshold import Threshold, Trace
 
 #: Share of the calibration episodes that signals learn from; the others calibrate the thresholds.
 LEARNING_SHARE = 1 / 3
@@ -134,10 +134,11 @@ class Monitor:
         order = rng.permutation(len(episodes))
         learning = order[: int(len(episodes) * LEARNING_SHARE)] if from_episodes else order[:0]
         calibrating = [episodes[i] for i in order[len(learning) :]]
-        if len(calibrating) < needed_episodes(alpha):
+        needed = max(channel.threshold.needed(alpha) for channel in self.channels)
+        if len(calibrating) < needed:
             raise ValueError(
                 f"{len(calibrating)} successful episodes calibrate the threshold, expected at least "
-                f"{needed_episodes(alpha)} for alpha {alpha:g}"
+                f"{needed} for alpha {alpha:g}"
                 + (f" beside the {len(learning)} that signals learn from" if len(learning) else "")
                 + ": record more, or raise alpha"
             )

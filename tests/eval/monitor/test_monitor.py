@@ -185,6 +185,8 @@ def test_calibration_that_promises_nothing_is_refused(make_episode, tmp_path):
     episodes = [make_episode(rng, key=f"made/{i}") for i in range(18)]
     with pytest.raises(ValueError, match="at least 19"):
         Monitor(["residual"]).fit(episodes, rng=rng)
+    with pytest.raises(ValueError, match="at least 21"):
+        Monitor(["residual"], threshold="band:tfunc").fit([*episodes, *episodes[:2]], rng=rng)
     failed = [make_episode(rng, success=False, key="made/failed")] * 2
     with pytest.raises(ValueError, match=r"2 of 20 calibration episodes failed .*made/failed"):
         Monitor(["residual"]).fit(episodes + failed, rng=rng)

@@ -65,6 +65,17 @@ def test_an_episode_raises_a_false_alarm_at_most_at_the_rate(threshold):
     assert "at most 0.1" in threshold.guarantee
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("calibration", [21, 32, 62, 202])
+@pytest.mark.parametrize("threshold", [SplitConformal(), FunctionalBand("tfunc"), FunctionalBand("stdev")])
+def test_ten_thousand_episodes_raise_no_more_false_alarms_than_promised(threshold, calibration):
+    streams = 10_000
+    alarms = false_alarm_rate(threshold, calibration, streams, alpha=0.05)
+    print(f"\n{threshold.name} {threshold.options()}: {alarms / streams:.2%} of {streams} at {calibration} episodes")
+    assert alarms <= binom.ppf(0.999, streams, 0.05)
+    assert threshold.needed(0.05) <= calibration
+
+
 def test_one_random_decision_raises_a_false_alarm_at_most_at_the_rate_and_pooled_steps_promise_nothing():
     rng, alarms, streams = np.random.default_rng(1), 0, 600
     threshold = SplitConformal("random-step")
@@ -93,6 +104,8 @@ def test_mondrian_calibrates_flagged_and_other_decisions_apart():
         threshold.fit([Trace(trace.values) for trace in traces], 0.1, rng)
     with pytest.raises(ValueError, match="without a flag"):
         threshold.at(0)
+    with pytest.raises(ValueError, match="0 calibration episodes have decisions with the flag true"):
+        threshold.fit([Trace(trace.values, ~trace.values.astype(bool)) for trace in traces], 0.1, rng)
 
 
 def test_the_band_holds_its_last_value_and_follows_the_spread():

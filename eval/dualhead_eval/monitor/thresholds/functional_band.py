@@ -84,6 +84,10 @@ class FunctionalBand(Threshold):
         held = np.minimum(np.arange(len(values)), len(centre) - 1)
         return float(((values - centre[held]) / scale[held]).max())
 
+    def needed(self, alpha: float) -> int:
+        """Two episodes more: the centre needs its own."""
+        return needed_episodes(alpha) + 2
+
     def at(self, index: int, flagged: bool | None = None) -> float:
         """The band at decision ``index``."""
         return float(self.limits[min(index, len(self.limits) - 1)])

@@ -36,7 +36,7 @@ class Mondrian(Threshold):
         """Calibrate each group on the episodes that have decisions in it.
 
         Raises:
-            ValueError: If the decisions are not flagged.
+            ValueError: If the decisions are not flagged, or too few episodes have decisions in a group.
         """
         for group in self.limits:
             parts = []
@@ -47,6 +47,12 @@ class Mondrian(Threshold):
                         "that says where two modes are open"
                     )
                 parts.append(Trace(trace.values[trace.flagged == group]))
+            held, needed = sum(part.values.size > 0 for part in parts), self.needed(alpha)
+            if held < needed:
+                raise ValueError(
+                    f"{held} calibration episodes have decisions with the flag {str(group).lower()}, expected at least "
+                    f"{needed} for alpha {alpha:g}: record more, raise alpha, or use another threshold"
+                )
             self.limits[group] = conformal_quantile(unit_scores(parts, self.unit, rng), alpha)
         self.guarantee = "within flagged and within other decisions each: " + UNITS[self.unit].format(alpha=alpha)
 

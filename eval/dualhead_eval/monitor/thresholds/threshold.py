@@ -40,6 +40,10 @@ class Threshold(ABC):
     def fit(self, traces: Sequence[Trace], alpha: float, rng: np.random.Generator) -> None:
         """Fit on episodes that all succeeded."""
 
+    def needed(self, alpha: float) -> int:
+        """Fewest calibration episodes with a finite limit."""
+        return needed_episodes(alpha)
+
     @abstractmethod
     def at(self, index: int, flagged: bool | None = None) -> float:
         """The limit at decision ``index`` of an episode."""
