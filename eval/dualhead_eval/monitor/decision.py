@@ -24,7 +24,8 @@ class Decision:
         control: The head whose chunk is executed: ``"joint"``, or any other name for head B.
         token: Shared token of the executed pair, or None.
         labels: Modes of both heads' samples ``(2, n)``, -1 invalid; None without a mode partition.
-        sides: The same without a threshold: the nearest mode of every sample, however little it deviates.
+        sides: The same without a threshold: the nearest mode of every sample, however little it deviates; -1 if the
+            sample is not finite.
         diverged: Pairs ``(n,)`` whose flow left the range of the training chunks; None if the policy does not say.
         flagged: Whether two modes were open here (:mod:`dualhead_eval.monitor.branch_flag`); None if nobody looked.
         members: Decoded chunks of the members of an ensemble ``(M, n, H, d)`` in m, or None.
@@ -70,7 +71,10 @@ class Decision:
     @property
     def crossed(self) -> bool | None:
         """Whether the executed pair lies on two sides; None without a mode partition."""
-        return None if self.sides is None else bool(self.sides[0, 0] != self.sides[1, 0])
+        if self.sides is None:
+            return None
+        a, b = self.sides[:, 0]
+        return bool(a != b and min(a, b) >= 0)
 
 
 @dataclass(frozen=True)

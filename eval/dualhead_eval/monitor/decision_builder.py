@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dualhead_eval.effects.counts import INVALID
 from dualhead_eval.evaluation.labelled_pairs import ModePartition
 from dualhead_eval.monitor.decision import Decision
 from dualhead_eval.monitor.kinematics import position_map
@@ -76,9 +77,7 @@ class DecisionBuilder:
             decoded = self.decode(a)
         labels = sides = None
         if self.partition is not None:
-            scored = [self.partition.score(path, context) for path in (decoded, b)]
-            sides = np.stack([np.asarray(label, dtype=np.int64) for label, _ in scored])
-            labels = np.where(np.stack([strength for _, strength in scored]) >= self.partition.tau, sides, -1)
+            labels, sides = _labelled(self.partition, decoded, b, context)
         return Decision(
             step=step,
             observation=observation,
@@ -93,3 +92,16 @@ class DecisionBuilder:
             diverged=None if diverged is None else np.asarray(diverged, dtype=bool),
             flagged=None if self.flag is None else self.flag(observation),
         )
+
+
+def _labelled(
+    partition: ModePartition, decoded: NDArray[np.float64], position: NDArray[np.float64], context: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Labels and sides ``(2, n)`` of both heads' paths; -1 where a path is not finite."""
+    labels, sides = [], []
+    for paths in (decoded, position):
+        finite = np.asarray(np.isfinite(paths).all(axis=(1, 2)))
+        side, strength = partition.score(np.where(finite[:, None, None], paths, 0.0), context)
+        sides.append(np.where(finite, side, INVALID))
+        labels.append(np.where(finite & (strength >= partition.tau), side, INVALID))
+    return np.stack(labels), np.stack(sides)

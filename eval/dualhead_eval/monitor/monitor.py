@@ -56,7 +56,8 @@ class Channel:
 
     def score(self, decision: Decision) -> tuple[float, float]:
         """Score and aggregate of one more decision."""
-        score = self.signal.score(decision)
+        with np.errstate(all="ignore"):  # what is not finite is counted as diverged, not warned about
+            score = self.signal.score(decision)
         score = score if np.isfinite(score) else float("inf")
         return score, self.aggregator.add(score)
 

@@ -120,6 +120,25 @@ def test_a_diverged_decision_raises_the_alarm(make_episode):
     assert reading.alarm
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e26])
+def test_a_broken_chunk_is_read_by_every_signal_without_a_warning(fitted, rollouts, bad):
+    recorded = open_rollouts(rollouts["test"])
+    decision = recorded.episode(20).decisions[0]
+    joint, position = decision.joint.copy(), decision.position.copy()
+    joint[1, 3, 0] = position[0, 5, 1] = bad
+    broken = recorded.builder.build(8, [0.0, 0.0], [1.0, 0.0, 1.0], joint, position)
+    fitted.reset()
+    fitted.update(decision)
+    said = fitted.update(broken)
+    assert said.score > 1e9
+    assert said.alarm
+    assert not any(np.isnan(reading.score) for reading in said.by_signal.values())
+    if not np.isfinite(bad):
+        assert said.by_signal["diverged"].score == 0.5
+        assert broken.labels[1, 0] == broken.sides[1, 0] == -1
+        assert broken.crossed is False
+
+
 def test_signals_learn_from_other_episodes_than_thresholds(make_episode):
     """Thresholds of a learned signal rest on two thirds of the episodes, as those of others on all."""
     rng = np.random.default_rng(4)

@@ -164,10 +164,10 @@ def gaussian():
     """Correlated observations, and signals that learned them."""
     rng = np.random.default_rng(6)
     mixing = rng.standard_normal((4, 4))
-    rows = rng.standard_normal((400, 4)) @ mixing + 5
+    rows = rng.standard_normal((600, 4)) @ mixing + 5
     fitted = {}
     for name in ("rnd", "logpzo"):
-        fitted[name] = make_signal(name, epochs=25)
+        fitted[name] = make_signal(name, epochs=40)
         fitted[name].fit([Decision(0, row) for row in rows], np.random.default_rng(0))
     return rows, fitted
 

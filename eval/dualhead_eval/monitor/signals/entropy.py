@@ -25,7 +25,7 @@ def chunk_entropy_bits(samples: NDArray[np.float64], cell: NDArray[np.float64]) 
     if not used.any():
         return np.zeros(samples.shape[1])
     origin = samples.min(axis=(0, 1))
-    index = np.floor((samples - origin)[..., used] / cell[used]).astype(np.int64)
+    index = np.floor((samples - origin)[..., used] / cell[used])
     # Same cell of both samples in every dimension: (n, n, H); each sample's cell is shared by that many.
     shared = (index[:, None] == index[None]).all(axis=-1).sum(axis=1)
     return -np.log2(shared / len(samples)).mean(axis=0)
@@ -46,6 +46,9 @@ class _ChunkEntropy(Signal):
         samples = np.stack(
             [decision.pair[self.head].reshape(-1, decision.pair[self.head].shape[-1]) for decision in decisions]
         )
+        samples = samples[np.isfinite(samples).all(axis=(1, 2))]
+        if not len(samples):
+            raise ValueError(f"{self.name} found no finite chunk to learn from, expected recorded successes")
         self.cell = CELL_SHARE * np.ptp(samples, axis=(0, 1))
 
     def score(self, decision: Decision) -> float:

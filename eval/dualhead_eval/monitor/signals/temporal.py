@@ -67,7 +67,7 @@ class _SampleConsistency(_Remembering):
                 f"{self.name} found no two consecutive decisions with shared steps, expected episodes of two decisions "
                 "or more: execute fewer steps than the horizon"
             )
-        self.bandwidth = max(float(np.median(np.concatenate(distances))), 1e-9)
+        self.bandwidth = max(float(np.nanmedian(np.concatenate(distances))), 1e-9)
 
     def compare(self, before: Decision, after: Decision, executed: int) -> float:
         """MMD^2 of the samples on the shared steps; 0 where the decisions share none."""
