@@ -110,6 +110,9 @@ def _read_table(path: Path, keys: Sequence[str]) -> Any:
 
 def _column(column: Any, feature: dict[str, Any], path: Path, key: str) -> np.ndarray:
     values = column.combine_chunks()
+    if isinstance(values, pa.ExtensionArray):
+        # What `datasets` makes of lists of lists once it is imported.
+        values = values.storage
     width = math.prod(feature["shape"])
     if values.null_count:
         raise ValueError(f"{path} holds empty values in {key!r}, expected numbers: {REMEDY}")
@@ -117,9 +120,14 @@ def _column(column: Any, feature: dict[str, Any], path: Path, key: str) -> np.nd
         if width != 1:
             raise ValueError(f"{path} holds single numbers in {key!r}, expected rows of {width}: {REMEDY}")
         return _numbers(values, feature, path, key)
-    flat = _numbers(values.flatten(), feature, path, key)
-    sizes = values.value_lengths().to_numpy(zero_copy_only=False)
-    if (sizes != width).any():
+    inner = values
+    # A feature of several axes is stored as lists of lists.
+    while pa.types.is_list(inner.type) or pa.types.is_fixed_size_list(inner.type):
+        if inner.null_count or len(set(inner.value_lengths().to_pylist())) > 1:
+            raise ValueError(f"{path} holds rows of different widths in {key!r}, expected {width} numbers: {REMEDY}")
+        inner = inner.flatten()
+    flat = _numbers(inner, feature, path, key)
+    if len(flat) != len(values) * width:
         raise ValueError(f"{path} holds rows of another width than {width} in {key!r}: {REMEDY}")
     return flat.reshape(-1, width)
 

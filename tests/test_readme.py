@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```(python|bash)\n(.*?)```", README, flags=re.DOTALL)
 PYTHON = [code for language, code in BLOCKS if language == "python"]
+LABELS = next(code for language, code in BLOCKS if language == "bash" and "--labels" in code)
 SHELL = [line for language, code in BLOCKS if language == "bash" for line in code.splitlines() if line]
 
 
@@ -42,6 +46,28 @@ def test_a_command_of_the_readme_parses(line):
     if remaining:
         assert args.takes_remaining
         assert all(flag.startswith("--") and "=" in flag for flag in remaining)
+
+
+def test_a_table_of_labels_comes_to_a_verdict_in_under_ten_lines(tmp_path):
+    install, *rest = LABELS.splitlines()
+    assert install == "pip install ."
+    assert len(rest) < 9
+    # This interpreter and its commands stand for what was installed.
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    script = "set -e\n" + "\n".join(rest)
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == ""
+    assert "coordinated in full" in done.stdout
+    promised = re.search(r"The last command prints . = (\S+) %", README)
+    assert promised
+    assert f"{promised[1]}% [" in done.stdout
 
 
 def test_every_linked_file_exists():

@@ -1,7 +1,7 @@
 """A Gymnasium wrapper that runs a coordination certificate beside a rollout.
 
 Every few steps a policy decides: it samples both heads for the current observation. The wrapper labels those
-samples with the environment's own mode partition, feeds the certificate, and writes the cross-head residual
+samples with the environment's mode partition, feeds the certificate, and writes the cross-head residual
 and the verdict into ``info["coordination"]`` of every reset and step.
 """
 
@@ -40,7 +40,8 @@ class CertificateWrapper(DecisionWrapper):
     mean residual of the last decision's pairs.
 
     Args:
-        env: An environment with ``unwrapped.mode_partition`` and ``environment_state`` observations.
+        env: An environment of ours, or any in a
+            :class:`~dualhead_eval.partitions.wrapper.ModePartitionWrapper`.
         predict: Samples of both heads for an observation, as positions in metres ``(n, H, d)``; sample i of
             one head is paired with sample i of the other, as the policy couples them.
         certificate: The certificate to feed, shared among environments if wanted; a new one by default.
@@ -57,19 +58,19 @@ class CertificateWrapper(DecisionWrapper):
     def __init__(
         self,
         env: gym.Env,
-        predict: Callable[[Mapping[str, Any]], Predictions],
+        predict: Callable[[Any], Predictions],
         certificate: CoordinationCertificate | None = None,
         *,
         decision_interval: int = 8,
         held_pairs: int = 0,
     ) -> None:
         super().__init__(env, decision_interval)
-        partition = getattr(env.unwrapped, "mode_partition", None)
-        if partition is None:
+        if not env.has_wrapper_attr("mode_partition"):
             raise ValueError(
-                f"{env.unwrapped!r} has no mode_partition, expected an environment of dualhead_envs: only these "
-                "label trajectories"
+                f"{env.unwrapped!r} has no mode_partition, expected an environment of dualhead_envs or one in a "
+                "ModePartitionWrapper: give it a partition"
             )
+        partition = env.get_wrapper_attr("mode_partition")
         if held_pairs < 0:
             raise ValueError(f"held_pairs={held_pairs}, expected 0 or a number of pairs")
         self.certificate = certificate or CoordinationCertificate(
@@ -81,11 +82,13 @@ class CertificateWrapper(DecisionWrapper):
                 f"{partition.n_modes}, expected the same: build the certificate with the environment's number"
             )
         self._partition = partition
+        given = env.has_wrapper_attr("mode_condition")
+        self._condition = env.get_wrapper_attr("mode_condition") if given else _environment_state
         self._predict = predict
         self._held = held_pairs
         self._residual = float("nan")
 
-    def decide(self, observation: Mapping[str, Any], step: int) -> None:
+    def decide(self, observation: Any, step: int) -> None:
         """Sample both heads, label the paths, feed the certificate, which keeps what it has seen through resets."""
         path_a, path_b = (np.asarray(path, dtype=np.float64) for path in self._predict(observation))
         if path_a.ndim != 3 or path_a.shape != path_b.shape:
@@ -97,7 +100,7 @@ class CertificateWrapper(DecisionWrapper):
                 f"{len(path_a)} pairs predicted of which {self._held} follow what the episode holds, expected "
                 "fresh pairs too: sample more pairs per decision"
             )
-        condition = np.asarray(observation["environment_state"], dtype=np.float64)
+        condition = np.asarray(self._condition(observation), dtype=np.float64)
         labels = (self._partition.assign(path[self._held :], condition) for path in (path_a, path_b))
         self.certificate.update(*(label[None] for label in labels))
         self._residual = float(position_residual_mm(path_a, path_b).mean())
@@ -116,6 +119,11 @@ class CertificateWrapper(DecisionWrapper):
             "decision": decided,
             "residual_mm": self._residual,
         }
+
+
+def _environment_state(observation: Mapping[str, Any]) -> ArrayLike:
+    """The condition of our environments' observations."""
+    return observation["environment_state"]
 
 
 def certificate_columns(info: Mapping[str, Any]) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""``dualhead evaluate``: a policy, the exact reference or recorded rollouts to a gate file."""
+"""``dualhead evaluate``: a policy, the exact reference, recorded predictions or a table of labels to a gate file."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands.console import open_console, refuse_overwrite
+from dualhead_eval.commands.own_task import OWN_USES, add_own_inputs, add_own_options
 
 if TYPE_CHECKING:
     from dualhead_eval.evaluation.protocol import EvaluationProtocol
@@ -14,9 +15,9 @@ if TYPE_CHECKING:
 
 #: Episodes rolled out where ``--episodes`` is not given.
 EPISODES = 50
-#: Options that serve only some of the four uses, and which.
+#: Options that serve only some of the uses, and which.
 SERVES = {
-    "dataset": ("policy", "exact", "record"),
+    "dataset": ("policy", "exact", "record", "columns"),
     "pairs": ("policy", "exact"),
     "conditions": ("policy", "exact"),
     "nfe": ("policy", "exact"),
@@ -25,7 +26,12 @@ SERVES = {
     "update_card": ("policy",),
     "seed": ("policy", "exact", "record"),
     "episodes": ("record",),
-    "samples": ("record",),
+    "samples": ("record", "columns"),
+    "horizon": ("columns",),
+    "partition": ("columns",),
+    "metres": ("columns",),
+    "modes": ("labels",),
+    "tau": ("policy", "exact", "record", "rollouts", "columns"),
     "control": ("record",),
     "perturb": ("record",),
     "token": ("exact",),
@@ -35,7 +41,8 @@ SERVES = {
 
 DESCRIPTION = """\
 Sample both heads of a policy (or of the exact reference) under the test conditions of a dataset, label their
-modes and write the counts to a gate file; or count the predictions in recorded rollouts.
+modes and write the counts to a gate file; or count the predictions in recorded rollouts, in any LeRobotDataset,
+or anyone's labels.
 
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --output ring.gate.json
   dualhead evaluate --policy outputs/A outputs/B --dataset data/ring/test --output gates/
@@ -43,6 +50,8 @@ modes and write the counts to a gate file; or count the predictions in recorded 
   dualhead evaluate --exact --consistency-weight 3 --source-noise-beta 0 --dataset data/v2/test --output G.gate.json
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --record data/rollouts --output loop.gate.json
   dualhead evaluate --rollouts data/rollouts --output rollouts.gate.json
+  dualhead evaluate --labels labels.csv --output mine.gate.json
+  dualhead evaluate --columns prediction.a prediction.b --dataset D --partition side.json --output mine.gate.json
 
 The defaults are the frozen protocol: 1280 pairs per condition, 20 Euler steps.
 """
@@ -65,7 +74,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the population-optimal sampler: the ring's or, with --consistency-weight, a robot's",
     )
     what.add_argument("--rollouts", metavar="DIR", help="a LeRobotDataset of recorded rollouts")
-    parser.add_argument("--dataset", metavar="DIR", help="split with the test conditions, e.g. data/ring/test")
+    add_own_inputs(what)
+    parser.add_argument(
+        "--dataset",
+        metavar="DIR",
+        help="split with the test conditions, e.g. data/ring/test; with --columns, any LeRobotDataset",
+    )
     parser.add_argument(
         "--output",
         type=Path,
@@ -83,6 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--update-card", action="store_true", help="with --policy: write the numbers into the policy's own card too"
     )
+    add_own_options(parser)
     loop = parser.add_argument_group("closed loop, with --policy")
     loop.add_argument(
         "--record",
@@ -92,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "predictions of every decision",
     )
     loop.add_argument("--episodes", type=int, help="episodes to roll out (default: 50)")
-    loop.add_argument("--samples", type=int, help="pairs of chunks per decision (default: 2)")
+    loop.add_argument("--samples", type=int, help="pairs of chunks per decision (default: 2; --columns: 1)")
     loop.add_argument(
         "--control",
         choices=["joint", "position", "pose"],
@@ -133,20 +148,28 @@ def run(args: argparse.Namespace) -> int:
         refuse_overwrite([args.output], overwrite=args.overwrite)
     if args.record is not None and not args.policy:
         raise ValueError("--record rolls out a policy: give --policy too")
-    use = "rollouts" if args.rollouts else "record" if args.record else "exact" if args.exact else "policy"
+    given = [name for name in (*OWN_USES, "rollouts", "record", "exact") if getattr(args, name)]
+    use = given[0] if given else "policy"
     _refuse_unused(args, use)
-    if args.dataset is None and use != "rollouts":
+    if args.dataset is None and use == "columns":
+        raise ValueError("--dataset is missing: give the folder of the LeRobotDataset that holds the columns")
+    if args.dataset is None and use not in ("rollouts", "labels"):
         raise ValueError("--dataset is missing: give the split with the test conditions, e.g. data/ring/test")
 
-    from dualhead_policy.quiet import quiet_libraries
+    if use not in OWN_USES:
+        from dualhead_policy.quiet import quiet_libraries
 
-    quiet_libraries()
+        quiet_libraries()
+    from dualhead_eval.gate import write_gate
     from dualhead_eval.report.content import make_report
     from dualhead_eval.report.effects_table import effects_table
     from dualhead_eval.report.terminal import render_table
 
     if several:
         gates = _policies(args)
+    elif use in OWN_USES:
+        gates = [OWN_USES[use](args, _label(args))]
+        write_gate(gates[0], args.output, overwrite=args.overwrite)
     else:
         gates = [{"rollouts": _rollouts, "record": _rolled_out}.get(use, _sampled)(args)]
 
@@ -171,7 +194,7 @@ def _refuse_for_several(args: argparse.Namespace) -> None:
 def _refuse_unused(args: argparse.Namespace, use: str) -> None:
     """Refuse an option that the given use would pass over."""
     for option, uses in SERVES.items():
-        if getattr(args, option) not in (None, False) and use not in uses:
+        if getattr(args, option) not in (None, False, []) and use not in uses:
             takers = " or ".join(f"--{name}" for name in uses)
             raise ValueError(
                 f"--{option.replace('_', '-')} has no meaning with --{use}: leave it out, or give {takers} instead"

@@ -21,6 +21,11 @@ ROTATION = "rotation"
 VERSIONED = ("lerobot_policy_dualhead", "lerobot", "torch", "numpy")
 
 
+def installed_versions() -> dict[str, str]:
+    """Versions of the packages that a gate's provenance names."""
+    return {name: version(name) for name in VERSIONED}
+
+
 class ModePartition(Protocol):
     """What an environment knows of its modes; see ``env.unwrapped.mode_partition``."""
 
@@ -174,7 +179,7 @@ def make_gate(
         provenance={
             **provenance,
             "partition": partition.to_dict(),
-            "versions": {name: version(name) for name in VERSIONED},
+            "versions": installed_versions(),
         },
         strata=strata,
     )

@@ -18,6 +18,8 @@ from dualhead_eval.residuals.strata import ResidualStrata
 
 #: ``provenance["method"]`` of a gate whose conditions are the decisions of recorded rollouts.
 ROLLOUTS = "recorded rollouts"
+#: The same of a gate that was counted from a table of labels: its threshold 0 and its step 1 stand for labels as given.
+LABEL_TABLE = "label table"
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from dualhead_eval.effects.sites import Occupancy
+from dualhead_eval.gate.gate import LABEL_TABLE
 from dualhead_eval.report.content import Report
 from dualhead_eval.report.table import LOSS, READING, RHO, Cell, Column, Table, bounds, equivalence, number, with_bounds
 from dualhead_eval.statistics.run_summary import FEW_PAIRS, RunSummary
@@ -31,6 +32,9 @@ def effects_table(report: Report) -> Table:
         "NFE": lambda pair: str(pair.nfe),
         "heads": lambda pair: " / ".join(pair.heads),
     }
+    if all(run.gate.provenance.get("method") == LABEL_TABLE for run, _ in rows):
+        # Labels were given as they are: nothing was thresholded or integrated.
+        del point["τ"], point["NFE"]
     varying = {name: cell for name, cell in point.items() if len({cell(pair) for _, pair in rows}) > 1}
     shared = [f"{name} = {cell(rows[0][1])}" for name, cell in point.items() if name not in varying]
     columns = [Column("run", text=True), *(Column(name, text=name == "heads") for name in varying)]
