@@ -12,7 +12,7 @@ from dualhead_eval.partitions.partition import Partition
 from dualhead_eval.partitions.scored import ScoredPartition
 
 
-class ModePartitionWrapper(gym.Wrapper):
+class ModePartitionWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs):
     """Labels the path since the last reset and writes the label into ``info["mode"]``, -1 while it is undecided.
 
     The wrapped environment is left as it is; wrappers outside of this one, such as
@@ -35,7 +35,8 @@ class ModePartitionWrapper(gym.Wrapper):
         position: Callable[[Any], Any],
         condition: Callable[[Any], Any] | None = None,
     ) -> None:
-        super().__init__(env)
+        gym.utils.RecordConstructorArgs.__init__(self, partition=partition, position=position, condition=condition)
+        gym.Wrapper.__init__(self, env)
         self.mode_partition = ScoredPartition(partition)
         self._position, self._condition = position, condition
         self._path: list[np.ndarray] = []
