@@ -19,6 +19,9 @@ from dualhead_policy.training.config_file import check_config_file
 from dualhead_policy.training.presets import PRESETS
 from dualhead_policy.training.run_folder import refuse_occupied
 
+#: Longest part of a library's complaint that is shown, in characters.
+LONGEST_REASON = 300
+
 
 def parse_training_config(arguments: Sequence[str], preset: str | None) -> TrainPipelineConfig:
     """Parse the flags of ``lerobot-train`` as ``dualhead train`` completes them.
@@ -126,7 +129,10 @@ def _parse() -> TrainPipelineConfig:
         if isinstance(cause, ValueError) and str(cause).startswith("policy."):
             raise ValueError(str(cause)) from error  # a sentence of DualheadConfig, which draccus wraps in its own
         text = complaint.getvalue().strip() or str(error)
-        reason = text.splitlines()[-1].strip().removeprefix("dualhead train: error: ")
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        # draccus names the field first, and what went wrong with it in a line of its own.
+        named = [line for line in lines if line.startswith("Underlying error")] and lines[:1]
+        reason = " ".join([*named, lines[-1]]).removeprefix("dualhead train: error: ")[:LONGEST_REASON]
         raise ValueError(
             f"{reason}: `dualhead train` takes the flags of lerobot-train, and every field of DualheadConfig as "
             "--policy.FIELD=VALUE"
