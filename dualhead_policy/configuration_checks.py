@@ -77,8 +77,8 @@ def check_values(fields: Mapping[str, Any]) -> None:
     for name in POSITIVE:
         if not fields[name] > 0:
             raise ValueError(f"policy.{name}={fields[name]} must be positive: give a larger value")
-    for name in NOT_NEGATIVE:
-        if not fields[name] >= 0:
+    for name in (*NOT_NEGATIVE, "seed"):
+        if fields[name] is not None and not fields[name] >= 0:
             raise ValueError(f"policy.{name}={fields[name]} must not be negative: give 0 or more")
     for name, most in AT_MOST.items():
         if fields[name] is not None and fields[name] > most:
@@ -90,6 +90,10 @@ def check_values(fields: Mapping[str, Any]) -> None:
         if fields[name] is not None and not fields[name].isprintable():
             raise ValueError(f"policy.{name}={fields[name]!a} holds control codes: give printable text")
     _check_features(fields)
+    if not all(0 <= beta < 1 for beta in fields["optimizer_betas"]):
+        raise ValueError(
+            f"policy.optimizer_betas={fields['optimizer_betas']} is outside [0, 1): give two values inside"
+        )
     noise = fields["observation_noise"]
     if noise is not None and not noise >= 0:
         raise ValueError(f"policy.observation_noise={noise} must not be negative: give 0 or more")

@@ -148,6 +148,12 @@ class DualheadConfig(PreTrainedConfig):
             # The base class would pick the same device, with a warning.
             accelerator = torch.accelerator.current_accelerator(check_available=True)
             self.device = accelerator.type if accelerator is not None else "cpu"
+        try:
+            torch.device(self.device)
+        except RuntimeError as error:
+            raise ValueError(
+                f"policy.device={self.device!r} is no device of torch: give 'cpu', 'cuda' or 'mps'"
+            ) from error
         super().__post_init__()
         check_values(vars(self))
         _check_together(self)
@@ -229,7 +235,10 @@ def _check_together(config: DualheadConfig) -> None:
             "rotation head: set policy.rotation_head=true, or leave the weight at 0"
         )
     if config.kinematic_map is not None:
-        KinematicMap(config.kinematic_map)
+        try:
+            KinematicMap(config.kinematic_map)
+        except ValueError as error:
+            raise ValueError(f"policy.kinematic_map={config.kinematic_map!r}: {error}") from error
     if config.normalization_mapping.get("ACTION") != NormalizationMode.IDENTITY:
         raise ValueError(
             "policy.normalization_mapping must leave ACTION as IDENTITY: the action scale lives inside the "

@@ -44,6 +44,9 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
     config_file = parser.parse_arg("config_path", given)
     if config_file:
         check_config_file(Path(config_file))
+    kind = parser.get_type_arg("policy", given)
+    if kind not in (None, "dualhead"):
+        raise ValueError(f"--policy.type={kind} is not 'dualhead': use lerobot-train for other policies")
     if resume and not config_file:
         checkpoint = _checkpoint_config(given)
         if checkpoint is None:
@@ -123,11 +126,9 @@ def _parse() -> TrainPipelineConfig:
         with contextlib.redirect_stderr(complaint):
             return parser.wrap()(configured)()
     except (SystemExit, argparse.ArgumentError, draccus.utils.DecodingError) as error:
-        cause: BaseException = error
-        while (deeper := cause.__cause__ or cause.__context__) is not None:
-            cause = deeper
-        if isinstance(cause, ValueError) and str(cause).startswith("policy."):
-            raise ValueError(str(cause)) from error  # a sentence of DualheadConfig, which draccus wraps in its own
+        own = _sentence_of_ours(error)
+        if own is not None:
+            raise ValueError(own) from error
         text = complaint.getvalue().strip() or str(error)
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         # draccus names the field first, and what went wrong with it in a line of its own.
@@ -137,3 +138,15 @@ def _parse() -> TrainPipelineConfig:
             f"{reason}: `dualhead train` takes the flags of lerobot-train, and every field of DualheadConfig as "
             "--policy.FIELD=VALUE"
         ) from error
+
+
+def _sentence_of_ours(error: BaseException) -> str | None:
+    """What DualheadConfig says, which draccus wraps in errors of its own."""
+    seen: set[int] = set()
+    cause: BaseException | None = error
+    while cause is not None and id(cause) not in seen:
+        if isinstance(cause, ValueError) and str(cause).startswith("policy."):
+            return str(cause)
+        seen.add(id(cause))
+        cause = cause.__cause__ or cause.__context__
+    return None

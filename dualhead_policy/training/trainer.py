@@ -238,6 +238,14 @@ class Training:
 
 def _refuse_what_is_not_done(cfg: TrainPipelineConfig) -> None:
     """Refuse settings of ``lerobot-train`` that this trainer would otherwise pass over."""
+    for name, number, least in (
+        ("steps", cfg.steps, 1),
+        ("batch_size", cfg.batch_size, 1),
+        ("save_freq", cfg.save_freq, 1),
+        ("seed", cfg.seed or 0, 0),
+    ):
+        if number < least:
+            raise ValueError(f"--{name}={number} is too small: give at least {least}")
     given = {
         "dataset.episodes": cfg.dataset.episodes,
         "dataset.eval_split": cfg.dataset.eval_split or None,

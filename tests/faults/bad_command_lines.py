@@ -17,6 +17,7 @@ def command_line_cases(products: Products) -> Iterator[Case]:
     gate = ["report", str(products.gate)]
     for arguments, mentioned in [
         *[([*train, f"--policy.{name}={value}"], name) for name, value in POLICY_FLAGS],
+        ([*train, "--policy.kinematic_map=file:nowhere.urdf#tip"], "nowhere.urdf"),
         *[([*train, flag], word) for flag, word in TRAIN_FLAGS],
         *[([*exact, *flags], word) for *flags, word in EVALUATE_FLAGS],
         *[([*policy, *flags], word) for *flags, word in POLICY_EVALUATE_FLAGS],
@@ -41,7 +42,7 @@ POLICY_FLAGS = [
     ("kl_weight", "nan"), ("kl_weight", "inf"), ("consistency_weight", "-1"), ("source_noise_beta", "2"),
     ("latent", "mind"), ("free_bits", "1"), ("observation_noise", "-1"), ("optimizer_lr", "0"), ("optimizer_lr", "nan"),
     ("optimizer_lr", "fast"), ("optimizer_betas", "[2,3]"), ("lr_schedule", "random"), ("lr_warmup_steps", "-1"),
-    ("kinematic_map", "elbow"), ("kinematic_map", "file:nowhere.urdf#tip"), ("rotation_head", "true"),
+    ("kinematic_map", "elbow"), ("rotation_head", "true"),
     ("normalization_mapping", "{'STATE': 'MAGIC'}"), ("seed", "-1"), ("device", "toaster"), ("colour", "red"),
     ("time_frequencies", "1000000"), ("action_std_floor", "0"), ("n_action_steps", "99"), ("padded_steps", "99"),
     ("num_inference_steps", "0"), ("token_draw", "never"), ("latent_dim", "-3"), ("optimizer_grad_clip_norm", "-1"),
