@@ -31,6 +31,8 @@ _MEASURES = (
     ("detected_10", "at 10 %", "the same at 10 %"),
 )
 _RUN_AND_SIGNAL = (Column("run", text=True), Column("signal", text=True))
+#: Measures that are differences themselves.
+_SIGNED = ("gap", "surcharge")
 _AUROC = ("auroc", "auroc_time_matched", "auroc_whole")
 
 
@@ -173,7 +175,13 @@ def _differences(logs: Sequence[AlarmLog], draws: int) -> Table:
             except ValueError as error:
                 notes.append(str(error))
                 break
-            rows.append((f"{log.label} - {first.label}", signal, *(_cell(found.get(n), n) for n, _, _ in _MEASURES)))
+            rows.append(
+                (
+                    f"{log.label} - {first.label}",
+                    signal,
+                    *(_cell(found.get(n), n, difference=True) for n, _, _ in _MEASURES),
+                )
+            )
     columns = (*_RUN_AND_SIGNAL, *(Column(heading) for _, heading, _ in _MEASURES))
     return Table("Between runs on the same episodes", columns, tuple(rows), "resampled together", tuple(notes))
 
@@ -184,7 +192,8 @@ def _scope(logs: Sequence[AlarmLog]) -> str:
     return f"aggregate {', '.join(aggregators)}; threshold {', '.join(thresholds)}"
 
 
-def _cell(measure: Measure | None, name: str) -> str:
+def _cell(measure: Measure | None, name: str, *, difference: bool = False) -> str:
     if measure is None:
         return "-"
-    return with_bounds(measure.value, measure.interval, ".3f" if name in _AUROC else "+.1%")
+    sign = "+" if difference or name in _SIGNED else ""
+    return with_bounds(measure.value, measure.interval, f"{sign}.3f" if name in _AUROC else f"{sign}.1%")
