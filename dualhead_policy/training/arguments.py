@@ -47,6 +47,11 @@ def parse_training_config(arguments: Sequence[str], preset: str | None) -> Train
     kind = parser.get_type_arg("policy", given)
     if kind not in (None, "dualhead"):
         raise ValueError(f"--policy.type={kind} is not 'dualhead': use lerobot-train for other policies")
+    path = parser.get_path_arg("policy", given)
+    if path and "/" not in path and not Path(path).exists():
+        raise FileNotFoundError(
+            f"--policy.path={path} does not exist, expected a policy's folder or USER/NAME on a hub: give one of these"
+        )
     if resume and not config_file:
         checkpoint = _checkpoint_config(given)
         if checkpoint is None:

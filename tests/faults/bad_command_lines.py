@@ -53,7 +53,7 @@ TRAIN_FLAGS = [
     ("--colour=red", "colour"), ("--seed=-1", "seed"), ("--seed=word", "seed"), ("--policy.type=act", "act"),
     ("--dataset.episodes=[0]", "episodes"), ("--dataset.streaming=true", "streaming"),
     ("--policy.path=nowhere", "nowhere"),
-    ("--resume=true", "resume"), ("--dataset.root=", "root"), ("--preset", "preset"),
+    ("--dataset.root=", "root"), ("--preset", "preset"),
     ("--config_path=nowhere.yaml", "nowhere"),
 ]  # fmt: skip
 EVALUATE_FLAGS = [
