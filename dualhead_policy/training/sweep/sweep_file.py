@@ -119,8 +119,8 @@ def expand(sweep: SweepFile) -> list[SweepRun]:
             root,
             seed,
             (
-                *([f"--config_path={configuration.config}"] if configuration.config else []),
-                f"--dataset.root={root}",
+                *([f"--config_path={Path(configuration.config).resolve()}"] if configuration.config else []),
+                f"--dataset.root={Path(root).resolve()}",
                 f"--seed={seed}",
                 *_flags(sweep.flags | configuration.flags),
             ),

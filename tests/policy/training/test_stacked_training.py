@@ -80,3 +80,27 @@ def test_a_stacked_run_equals_its_single_run_on_the_ring(ring_data, tmp_path, me
 @pytest.mark.parametrize("mechanism", PANDA)
 def test_a_stacked_run_equals_its_single_run_on_the_robot(panda_data, tmp_path, mechanism):
     assert_stack_equals_single_runs(panda_data, tmp_path, PANDA[mechanism], 30)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mechanism", [*RING, *PANDA])
+def test_a_stacked_run_equals_its_single_run_after_a_hundred_steps(ring_data, panda_data, tmp_path, mechanism):
+    data = ring_data if mechanism in RING else panda_data
+    assert_stack_equals_single_runs(data, tmp_path, (RING | PANDA)[mechanism], 100)
+
+
+def test_a_stack_of_runs_at_different_steps_is_refused(ring_data, tmp_path):
+    first, second = build(ring_data, tmp_path, [[], []])
+    first.update(first.source.batch(0))
+    with pytest.raises(ValueError, match=r"at steps \[0, 1\], expected one"):
+        StackedTraining([first, second])
+
+
+def test_bfloat16_fields_stay_near_float32(ring_data, tmp_path):
+    flags = RING["consistency"]
+    exact = StackedTraining(build(ring_data, tmp_path / "fp32", flags))
+    coarse = StackedTraining(build(ring_data, tmp_path / "bf16", flags), compute_dtype=torch.bfloat16)
+    for _ in range(20):
+        losses = torch.stack([exact.update(), coarse.update()])
+    torch.testing.assert_close(losses[1], losses[0], rtol=2e-2, atol=0)
+    assert all(parameter.dtype == torch.float32 for parameter in coarse.trainings[0].policy.parameters())
