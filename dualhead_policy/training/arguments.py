@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -140,9 +141,16 @@ def _parse() -> TrainPipelineConfig:
         named = [line for line in lines if line.startswith("Underlying error")] and lines[:1]
         reason = " ".join([*named, lines[-1]]).removeprefix("dualhead train: error: ")[:LONGEST_REASON]
         raise ValueError(
-            f"{reason}: `dualhead train` takes the flags of lerobot-train, and every field of DualheadConfig as "
-            "--policy.FIELD=VALUE"
+            f"{_flag_of(reason)}{reason}: `dualhead train` takes the flags of lerobot-train, and every field of "
+            "DualheadConfig as --policy.FIELD=VALUE"
         ) from error
+
+
+def _flag_of(reason: str) -> str:
+    """The flag whose value a reason quotes, where draccus names the value alone; empty if there is none."""
+    quoted = re.findall(r"(?<!\w)'([^']+)'", reason)
+    flags = [flag for flag in sys.argv[1:] if any(word in flag.partition("=")[2] for word in quoted)]
+    return f"{flags[0][:LONGEST_REASON]}: " if flags and flags[0].partition("=")[0] not in reason else ""
 
 
 def _sentence_of_ours(error: BaseException) -> str | None:

@@ -295,7 +295,7 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
         )
     policy, preprocess = load_policy(args.policy[0])
     episodes = EPISODES if args.episodes is None else args.episodes
-    with tqdm(total=episodes, unit="episode", desc="rolling out") as bar:
+    with tqdm(total=episodes, unit="episode", desc="rolling out", delay=1) as bar:
         loop, verdict = record_rollouts(
             policy,
             preprocess,

@@ -83,7 +83,9 @@ def record_rollouts(
     """
     root = Path(root).resolve()
     if samples < 1 or episodes < 1:
-        raise ValueError(f"samples={samples} and episodes={episodes} must be at least 1")
+        raise ValueError(f"samples={samples} and episodes={episodes} are not both positive: give at least 1 of each")
+    if seed < 0:
+        raise ValueError(f"seed={seed} is negative, which no environment takes: give 0 or more")
     held = held_pairs(policy)
     if samples <= held:
         raise ValueError(
