@@ -69,8 +69,10 @@ def work(
             return 1
     else:
         from dualhead_policy.training.array_store import ArrayStore
+        from dualhead_policy.training.stacked.freed_memory import keep_freed_memory
         from dualhead_policy.training.stacked.stacked_training import StackedTraining
 
+        keep_freed_memory()
         trainings = build(root, output, seeds, flags)
         store = ArrayStore(Path(output) / ".windows")
         for training in trainings:

@@ -59,9 +59,11 @@ def train_group(group: Group) -> dict[str, dict[str, Any]]:
     import torch
 
     from dualhead_policy.quiet import quiet_libraries
+    from dualhead_policy.training.stacked.freed_memory import keep_freed_memory
     from dualhead_policy.training.sweep.group_commit import publish_group
 
     quiet_libraries()
+    keep_freed_memory()
     if group.threads is not None:
         torch.set_num_threads(group.threads)
     outcome: dict[str, dict[str, Any]] = {}
