@@ -90,6 +90,12 @@ class StudyEvaluation:
         """Its gate file below the folder of gate files."""
         return Path(self.run.name) / f"{self.step:06d}-{self.bank}{GATE_SUFFIX}"
 
+    @property
+    def label(self) -> str:
+        """Its name in tables: configuration, budget, dataset and seed, and the step where it is not the last."""
+        at = "" if self.step == self.run.steps else f" at {shown_budget(self.step)}"
+        return f"{self.run.cell} seed {self.run.seed}{at}"
+
 
 @dataclass(frozen=True)
 class StudyPlan:
