@@ -71,7 +71,7 @@ def test_a_flipped_byte_is_refused(tmp_path, make_gate):
         changed = bytearray(whole)
         changed[position] ^= 1 << int(rng.integers(8))
         path.write_bytes(changed)
-        with pytest.raises(ValueError, match="run.gate.json.gz"):
+        with pytest.raises(ValueError, match=r"run\.gate\.json\.gz"):
             read_gate(path)
 
 
