@@ -15,6 +15,7 @@ COMMANDS = {
         "train policies, many times faster than lerobot-train",
     ),
     "sweep": ("dualhead_eval.commands.sweep", "train configurations x datasets x seeds as few programs, resumable"),
+    "study": ("dualhead_eval.commands.study", "run a study of the paper from its file to its verdict"),
     "evaluate": ("dualhead_eval.commands.evaluate", "sample a policy under test conditions into a gate file"),
     "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
     "monitor": ("dualhead_eval.commands.monitor", "fit failure monitors on rollouts, score and report them"),

@@ -34,7 +34,9 @@ class CriterionBase(Schema):
     @property
     def all_rows(self) -> list[str]:
         """Every configuration that it names."""
-        return [*self.rows, *(getattr(self, "baseline", None) or ()), *(getattr(self, "beside", None) or ())]
+        others = [*(getattr(self, "baseline", None) or ()), *(getattr(self, "beside", None) or ())]
+        whole = getattr(self, "whole", None)
+        return [*self.rows, *others, *([whole] if whole else [])]
 
     @property
     def all_datasets(self) -> list[str]:
@@ -89,6 +91,15 @@ class DifferenceCriterion(CriterionBase):
     statistic: Literal["rho", "valid_rate"] = "rho"
     cost: bool = True
     within: Share | None = None
+
+
+class AccountsCriterion(CriterionBase):
+    """Whether one row alone makes up a share of the difference between ``whole`` and the baseline."""
+
+    test: Literal["accounts"]
+    baseline: Rows
+    whole: Name
+    share: Share
 
 
 class MonotoneCriterion(CriterionBase):
@@ -183,6 +194,7 @@ Criterion = Annotated[
     | SiteCriterion
     | SpreadCriterion
     | DifferenceCriterion
+    | AccountsCriterion
     | MonotoneCriterion
     | CornerCriterion
     | CapacityCriterion

@@ -1,0 +1,111 @@
+"""``dualhead study``: a study of the paper from its file to its verdict, resumable at any moment."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dualhead_eval.commands.console import open_console
+
+DESCRIPTION = """\
+Run a study: train what is missing, evaluate every checkpoint that it asks for, and say what it shows beside the
+paper and the exact reference, by the criteria that its file fixes. A study knows its results by its gate files:
+a finished one trains nothing; repeat the command to go on after an interruption.
+
+  dualhead study ring-factorial
+  dualhead study ring-factorial --preset smoke      the same in minutes, with a fraction of everything
+  dualhead study v2-atlas --verdict-only            no training: what the gate files at hand show
+  dualhead study studies/mine.yaml --data D
+
+docs/studies.md lists the studies, their results, and the fields of a study's file.
+"""
+#: Where the studies of this repository lie.
+STUDIES = Path("studies")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of ``dualhead study``."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("study", metavar="NAME", help="studies/NAME.yaml, or the path of a study's file")
+    parser.add_argument("--preset", choices=["smoke"], help="smoke: the study's smallest form, in minutes")
+    parser.add_argument("--data", type=Path, help="folder of the datasets by name; recorded if missing (default: data)")
+    parser.add_argument(
+        "--results", type=Path, help="folder of gate files, tables and figures (default: results/studies)"
+    )
+    parser.add_argument("--runs", type=Path, help="folder of the training runs (default: outputs/studies)")
+    parser.add_argument("--jobs", type=int, default=2, help="groups of runs or evaluations at a time (default: 2)")
+    parser.add_argument("--precision", choices=["fp32", "bf16"], default="fp32", help="as in `dualhead sweep`")
+    parser.add_argument("--later", action="store_true", help="also what the study marks as `later`")
+    parser.add_argument("--verdict-only", action="store_true", help="train and evaluate nothing")
+    parser.add_argument("--no-progress", action="store_true", help="do not draw progress bars")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what is missing and print the verdict.
+
+    Raises:
+        FileNotFoundError: If there is no such study.
+        ValueError: If it contradicts itself, or a gate file is not what it asks for.
+    """
+    if args.jobs < 1:
+        raise ValueError(f"--jobs {args.jobs} is not positive: give at least 1")
+    from dualhead_eval.studies.study_file import read_study
+    from dualhead_eval.studies.study_plan import plan_study, smoke_study
+
+    path = study_path(args.study)
+    study, smoke = read_study(path), args.preset == "smoke"
+    plan = plan_study(study, smoke=smoke, later=args.later)
+    if smoke:
+        study = smoke_study(study)
+
+    from dualhead_policy.quiet import quiet_libraries
+
+    quiet_libraries()
+    from dualhead_eval.report.terminal import render_table
+    from dualhead_eval.studies.study import StudyFolders, judge_study, missing_lines
+    from dualhead_eval.studies.study_verdict import cells_table, grades_table
+    from dualhead_eval.studies.study_work import Workplace, do_missing_work
+
+    scratch = Path("outputs") / "studies-smoke"
+    folders = StudyFolders(args.results or (scratch / "results" if smoke else Path("results") / "studies"), path.stem)
+    data = args.data or (scratch / "data" if smoke else Path("data"))
+    console = open_console()
+    if not args.verdict_only:
+        place = Workplace(
+            data,
+            args.runs or (scratch / "runs" if smoke else Path("outputs") / "studies"),
+            folders.gates,
+            jobs=args.jobs,
+            precision=args.precision,
+            show_progress=not args.no_progress,
+        )
+        do_missing_work(plan, place, console.print)
+    verdict = judge_study(study, plan, folders, data)
+    if verdict.cells:
+        console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))
+    console.print(render_table(grades_table(verdict.grades, study.question)))
+    done = len(plan.evaluations) - len(verdict.missing)
+    console.print(f"{done} of {len(plan.evaluations)} evaluations are there")
+    for line in missing_lines(verdict.missing):
+        console.print(f"  {line}")
+    if verdict.table is not None:
+        console.print(f"table:  {verdict.table}\nfigure: {verdict.figure}\ngates:  {folders.gates}")
+    return 0
+
+
+def study_path(name: str) -> Path:
+    """The file of a study by its name or path.
+
+    Raises:
+        FileNotFoundError: If there is none; says which there are.
+    """
+    given = Path(name)
+    if given.suffix in (".yaml", ".yml"):
+        return given
+    path = STUDIES / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(file.stem for file in STUDIES.glob("*.yaml"))) or "no studies/*.yaml is in this folder"
+        raise FileNotFoundError(
+            f"there is no study {name!r} ({known}): give one of these, or the path of a study's file"
+        )
+    return path

@@ -1,0 +1,116 @@
+"""One study from its file to its verdict: work that is missing, gates held against what was asked, table, figure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from dualhead_eval.atomic_text import write_text
+from dualhead_eval.studies.gate_store import GateStore
+from dualhead_eval.studies.grading import StudyGrade, grade_study
+from dualhead_eval.studies.study_cells import StudyCell, study_cells
+from dualhead_eval.studies.study_file import StudyFile
+from dualhead_eval.studies.study_plan import StudyEvaluation, StudyPlan
+from dualhead_eval.studies.study_references import StudyReferences, write_missing_references
+from dualhead_eval.studies.study_table import csv_text, study_rows
+
+#: What a study writes into its folder.
+TABLE_FILE, FIGURE_FILE = "table.csv", "figure.png"
+#: Where the numerical optima are committed.
+OPTIMA = Path("results") / "optimum"
+
+
+@dataclass(frozen=True)
+class StudyFolders:
+    """Where a study's results lie.
+
+    Attributes:
+        results: Folder of all studies' results: ``gates``, ``references``, and a folder per study.
+        name: The study's name.
+    """
+
+    results: Path
+    name: str
+
+    @property
+    def gates(self) -> Path:
+        """Gate files, shared by all studies."""
+        return self.results / "gates"
+
+    @property
+    def references(self) -> Path:
+        """Exact references, shared by all studies."""
+        return self.results / "references"
+
+    @property
+    def own(self) -> Path:
+        """Table and figure of this study."""
+        return self.results / self.name
+
+
+@dataclass(frozen=True)
+class StudyVerdict:
+    """What a study shows.
+
+    Attributes:
+        cells: Its cells, as far as there are gates.
+        grades: Its criteria.
+        missing: Evaluations without a gate file.
+        references: The exact references at hand.
+        table, figure: Files written; None where no gate is there.
+    """
+
+    cells: list[StudyCell]
+    grades: list[StudyGrade]
+    missing: list[StudyEvaluation]
+    references: StudyReferences
+    table: Path | None
+    figure: Path | None
+
+
+def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: Path) -> StudyVerdict:
+    """Read what gates there are, and say what they show; files that would not change are not written again.
+
+    Args:
+        study: The study.
+        plan: Its plan.
+        folders: Where its results lie.
+        data: Folder of the datasets, for references that are missing; need not exist.
+
+    Raises:
+        ValueError: If a gate file is damaged or not what the study asks for.
+    """
+    store = GateStore(folders.gates)
+    missing = store.missing(plan)
+    cells = study_cells(plan, store.results(plan))
+    references = StudyReferences([folders.references, OPTIMA])
+    if cells and write_missing_references(cells, plan.banks, data, folders.references, references):
+        references = StudyReferences([folders.references, OPTIMA])
+    grades = grade_study(study, cells, references.rho)
+    table = figure = None
+    if cells:
+        table, figure = folders.own / TABLE_FILE, folders.own / FIGURE_FILE
+        text = csv_text(study_rows(cells, references))
+        changed = _replace(table, text)
+        if changed or not figure.is_file():
+            from dualhead_eval.studies.study_figure import draw_study
+
+            draw_study(cells, references, figure)
+    return StudyVerdict(cells, grades, missing, references, table, figure)
+
+
+def missing_lines(missing: list[StudyEvaluation], show: Callable[[Path], str] = str) -> list[str]:
+    """One line per run that lacks gate files, with the files that it lacks."""
+    by_run: dict[str, list[Path]] = {}
+    for evaluation in missing:
+        by_run.setdefault(evaluation.run.name, []).append(evaluation.gate_file)
+    return [f"missing {name}: {', '.join(show(Path(file.name)) for file in files)}" for name, files in by_run.items()]
+
+
+def _replace(path: Path, text: str) -> bool:
+    """Write a file unless it holds the text already; whether it was written."""
+    if path.is_file() and path.read_text(encoding="utf-8") == text:
+        return False
+    write_text(path, text)
+    return True

@@ -1,0 +1,174 @@
+"""A study's figure: every cell's seeds beside the paper and the exact reference; curves where there are budgets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import FuncFormatter, NullLocator, PercentFormatter
+
+from dualhead_eval.atomic_text import write_bytes
+from dualhead_eval.paper.numbers import paper_row
+from dualhead_eval.studies.study_cells import StudyCell
+from dualhead_eval.studies.study_plan import shown_budget
+from dualhead_eval.studies.study_references import StudyReferences
+
+#: Checkpoints or budgets of one row from which on it is drawn as a curve.
+CURVE = 3
+OURS, PAPER, EXACT = "tab:blue", "tab:red", "black"
+
+
+def draw_study(cells: Sequence[StudyCell], references: StudyReferences, path: Path) -> None:
+    """Draw a study into a PNG file.
+
+    Raises:
+        ValueError: If no cell has a defined rho.
+    """
+    figure = study_figure(cells, references)
+    from io import BytesIO
+
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    write_bytes(path, buffer.getvalue())
+
+
+def study_figure(cells: Sequence[StudyCell], references: StudyReferences) -> Figure:
+    """Curves over steps where rows have them, and a forest of the cells at the end of their runs.
+
+    Raises:
+        ValueError: If no cell has a defined rho.
+    """
+    drawn = [cell for cell in cells if cell.values("rho").size]
+    if not drawn:
+        raise ValueError("no cell has a defined rho, expected at least one to draw")
+    curves = _curves(drawn)
+    if curves:
+        return _curve_figure(curves, references)
+    return _forest_figure([cell for cell in drawn if cell.final], references)
+
+
+def _forest_figure(cells: Sequence[StudyCell], references: StudyReferences) -> Figure:
+    figure = Figure(figsize=(9.5, 1.6 + 0.26 * len(cells)), dpi=130, layout=ConstrainedLayoutEngine())
+    ax, valid = figure.subplots(1, 2, sharey=True, width_ratios=(4, 1))
+    rows = np.arange(len(cells))[::-1]
+    for row, cell in zip(rows, cells, strict=True):
+        rhos, interval = cell.values("rho"), cell.interval()
+        ax.plot(rhos, np.full(rhos.size, row), "o", color=OURS, markersize=3, alpha=0.5, markeredgewidth=0)
+        ax.plot(rhos.mean(), row, "|", color=OURS, markersize=11, markeredgewidth=2)
+        if interval is not None:
+            ax.plot([interval.low, interval.high], [row, row], color=OURS, linewidth=1.2)
+        printed = paper_row(cell.paper_row).get("rho")
+        if printed is not None and printed.value is not None:
+            ax.plot(printed.value, row, "D", color=PAPER, markersize=5, fillstyle="none")
+        exact = references.rho(cell)
+        if exact is not None:
+            ax.plot(exact, row, "x", color=EXACT, markersize=6)
+        rates = np.array([run.first.valid_rate for run in cell.runs])
+        valid.plot(rates, np.full(rates.size, row), "o", color="0.3", markersize=3, alpha=0.6, markeredgewidth=0)
+    ax.axvline(0, color="0.4", linewidth=0.8)
+    labels = [cell.name if cell.bank == "frozen" else f"{cell.name} ({cell.bank})" for cell in cells]
+    ax.set_yticks(rows, labels, fontsize=8)
+    ax.set_ylim(-0.7, len(cells) - 0.3)
+    _percent(ax.xaxis)
+    ax.set_xlabel(r"$\rho$: seeds, mean and 95% t interval over seeds")
+    valid.set_xlim(-0.03, 1.03)
+    valid.set_xlabel("valid pairs")
+    for panel in (ax, valid):
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.grid(axis="x", color="0.92")
+        panel.set_axisbelow(True)
+    _legend(figure)
+    return figure
+
+
+def _curves(cells: Sequence[StudyCell]) -> dict[tuple[str, str], list[StudyCell]]:
+    """Cells of a row over its steps, of rows that have enough of them."""
+    rows: dict[tuple[str, str], list[StudyCell]] = {}
+    bank = cells[0].bank
+    for cell in cells:
+        if cell.bank == bank:
+            rows.setdefault((cell.dataset, cell.configuration), []).append(cell)
+    ordered = {key: sorted(row, key=lambda cell: cell.step) for key, row in rows.items()}
+    return {key: row for key, row in ordered.items() if len({cell.step for cell in row}) >= CURVE}
+
+
+def _curve_figure(curves: dict[tuple[str, str], list[StudyCell]], references: StudyReferences) -> Figure:
+    """rho over steps and rho against validity, a row of panels per dataset; shades are steps."""
+    datasets = list(dict.fromkeys(dataset for dataset, _ in curves))
+    figure = Figure(figsize=(11, 4.2 * len(datasets)), dpi=130, layout=ConstrainedLayoutEngine())
+    panels = figure.subplots(len(datasets), 2, squeeze=False)
+    names = list(dict.fromkeys(name for _, name in curves))
+    families = list(dict.fromkeys(_family(name) for name in names))
+    styles = {"": "-", "constant": "--", "paper network": ":"}
+    for (over_steps, against_validity), dataset in zip(panels, datasets, strict=True):
+        for (own, name), row in curves.items():
+            if own != dataset:
+                continue
+            colour = f"C{families.index(_family(name)) % 10}"
+            style = styles[_variant(name)]
+            label = f"{_family(name)}, {_variant(name) or 'default'}"
+            steps = [cell.step for cell in row]
+            rho = np.array([cell.mean("rho") for cell in row])
+            valid = [float(np.mean([run.first.valid_rate for run in cell.runs])) for cell in row]
+            over_steps.plot(steps, rho, style, color=colour, marker="o", markersize=3, label=label)
+            for cell in row:
+                values = cell.values("rho")
+                over_steps.plot(np.full(values.size, cell.step), values, "o", color=colour, markersize=2, alpha=0.35)
+            against_validity.plot(valid, rho, style, color=colour, linewidth=1)
+            sizes = 10 + 12 * np.arange(len(row))
+            against_validity.scatter(valid, rho, s=sizes, color=colour, alpha=0.7, linewidths=0)
+            exact = references.rho(row[-1])
+            if exact is not None:
+                over_steps.axhline(exact, color=colour, linewidth=0.8, alpha=0.7)
+        _finish(over_steps, against_validity, dataset, sorted({cell.step for row in curves.values() for cell in row}))
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def _finish(over_steps: Axes, against_validity: Axes, dataset: str, steps: Sequence[int]) -> None:
+    over_steps.set_xscale("log")
+    over_steps.set_xticks(steps, [shown_budget(step) for step in steps])
+    over_steps.xaxis.set_minor_locator(NullLocator())
+    over_steps.set_xlabel("training steps")
+    over_steps.set_title(f"{dataset}: over steps (thin lines: the loss's optimum)", fontsize=10)
+    against_validity.set_xlabel("valid pairs")
+    against_validity.set_title(f"{dataset}: against validity (larger: later)", fontsize=10)
+    for ax in (over_steps, against_validity):
+        ax.axhline(0, color="0.4", linewidth=0.8)
+        ax.set_ylabel(r"$\rho$, mean over seeds")
+        _percent(ax.yaxis)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(color="0.92")
+        ax.set_axisbelow(True)
+
+
+def _variant(name: str) -> str:
+    """Which network and schedule a row's name says."""
+    if name.endswith("_constant"):
+        return "constant"
+    return "paper network" if "paper_network" in name else ""
+
+
+def _family(name: str) -> str:
+    return name.removesuffix("_constant").removesuffix("_paper_network").replace("_", " ")
+
+
+def _percent(axis: object) -> None:
+    formatter = PercentFormatter(1, decimals=0)
+    axis.set_major_formatter(FuncFormatter(lambda value, _: formatter.format_pct(value, 1)))  # type: ignore[attr-defined]
+
+
+def _legend(figure: Figure) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=OURS, marker="o", markersize=4, label="ours, seeds"),
+        Line2D([], [], color=PAPER, marker="D", fillstyle="none", linestyle="", label="paper"),
+        Line2D([], [], color=EXACT, marker="x", linestyle="", label="exact optimum"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)

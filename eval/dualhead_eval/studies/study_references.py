@@ -1,0 +1,155 @@
+"""Exact references of a study's cells: the optimum of the same loss under the same conditions.
+
+References are gate files themselves, found by what they hold. On the ring the closed form is sampled where it is
+missing and the dataset is at hand; the numerical optimum under consistency takes longer and is taken from the folders
+given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dualhead_eval.gate import Gate, read_gate, write_gate
+from dualhead_eval.paper.mechanism import Mechanism, mechanism_of
+from dualhead_eval.statistics.run_summary import summarise_run
+from dualhead_eval.studies.study_cells import StudyCell
+from dualhead_eval.studies.study_file import Bank
+
+#: Largest difference of two recordings' conditions that count as the same: machines differ in a float32's last bits.
+SAME_CONDITION = 1e-5
+#: What else a ring's data are made of.
+_RING = ("mode_probabilities", "mode_angles", "path_spread")
+
+
+@dataclass(frozen=True)
+class StudyReference:
+    """An exact reference beside a cell.
+
+    Attributes:
+        rho: Its normalised effect.
+        approximate: Whether it is the moment-matched one.
+        n_conditions: Conditions behind it; it may have been solved under the first of a cell's conditions only.
+    """
+
+    rho: float
+    approximate: bool
+    n_conditions: int
+
+
+class StudyReferences:
+    """References in some folders.
+
+    Args:
+        folders: Folders of gate files; those that do not exist are passed over.
+
+    Raises:
+        ValueError: If a gate file is damaged.
+    """
+
+    def __init__(self, folders: Iterable[Path]):
+        files = [file for folder in folders for file in sorted(folder.rglob("*.gate.json*"))]
+        gates = [read_gate(file) for file in files]
+        self._by_key: dict[tuple[Any, ...], list[Gate]] = {}
+        for gate in gates:
+            if mechanism_of(gate).reference:
+                self._by_key.setdefault(_key(gate), []).append(gate)
+
+    def find(self, cell: StudyCell) -> StudyReference | None:
+        """The reference of a cell's mechanism under most of its conditions, None if there is none."""
+        own = cell.runs[0].gate
+        if not has_reference(own):
+            return None
+        found = [gate for gate in self._by_key.get(_key(own), []) if _same_conditions(gate, own)]
+        if not found:
+            return None
+        gate = max(found, key=lambda candidate: candidate.n_conditions)
+        approximate = "approximate" in str(gate.provenance.get("method"))
+        return StudyReference(summarise_run(gate).rho, approximate, gate.n_conditions)
+
+    def rho(self, cell: StudyCell) -> float | None:
+        """rho of a cell's reference, None if there is none."""
+        found = self.find(cell)
+        return None if found is None else found.rho
+
+
+def has_reference(gate: Gate) -> bool:
+    """Whether a policy's loss has a reference at all: no latent, and no token but the oracle drawn uniformly."""
+    mechanism, config = mechanism_of(gate), gate.provenance.get("config") or {}
+    return mechanism.latent is None and (
+        mechanism.token is None
+        or (mechanism.token == "oracle" and not mechanism.learned_draw and not config.get("token_null_prob"))
+    )
+
+
+def in_closed_form(mechanism: Mechanism) -> bool:
+    """Whether a mechanism's optimum on the ring is a formula, quick to sample."""
+    return mechanism.environment == "testbed" and mechanism.consistency == 0
+
+
+def write_missing_references(
+    cells: Sequence[StudyCell], banks: dict[tuple[str, str], Bank], data: Path, folder: Path, known: StudyReferences
+) -> bool:
+    """Sample the closed-form references that cells lack and whose dataset is at hand.
+
+    Returns:
+        Whether any was written.
+    """
+    from dualhead_eval.evaluation.conditions import open_conditions
+    from dualhead_eval.evaluation.open_loop import evaluate
+    from dualhead_eval.evaluation.protocol import EvaluationProtocol
+    from dualhead_eval.evaluation.samplers import open_exact_reference
+    from dualhead_eval.gate.compact import compact_gate
+    from dualhead_policy.sampling import SamplingCoupling
+
+    written = False
+    for cell in cells:
+        gate, bank = cell.runs[0].gate, banks[cell.dataset, cell.bank]
+        mechanism, root = mechanism_of(gate), data / cell.dataset / "test"
+        wanted = has_reference(gate) and in_closed_form(mechanism) and len(bank.nfes) == 1 and not bank.taus
+        path = folder / cell.dataset / f"{_reference_name(gate)}-{cell.bank}.gate.json.gz"
+        if not wanted or not cell.final or path.exists() or not root.is_dir() or known.find(cell) is not None:
+            continue
+        options = {"token": "oracle", "token_replacement_prob": _replacement(gate)} if mechanism.token else {}
+        conditions = open_conditions(root)[: bank.conditions]
+        protocol = EvaluationProtocol(
+            pairs=bank.pairs, seed=bank.seed, coupling=SamplingCoupling(source_noise_beta=mechanism.beta)
+        )
+        reference = evaluate(
+            open_exact_reference(conditions, **options), conditions, protocol, f"{cell.dataset} {_reference_name(gate)}"
+        )
+        write_gate(compact_gate(reference, residuals=False), path)
+        written = True
+    return written
+
+
+def _key(gate: Gate) -> tuple[Any, ...]:
+    mechanism = mechanism_of(gate)
+    dataset = (gate.provenance.get("dataset") or {}).get("env_kwargs") or {}
+    token = (mechanism.token, _replacement(gate)) if mechanism.token else None
+    place = (mechanism.environment, mechanism.representation, gate.n_modes, gate.reference_tau, gate.reference_nfe)
+    return *place, str([dataset.get(name) for name in _RING]), mechanism.beta, token, mechanism.consistency
+
+
+def _replacement(gate: Gate) -> float:
+    provenance = gate.provenance
+    settings = {**provenance, **(provenance.get("config") or {})}
+    return float(settings.get("token_replacement_prob") or 0.0)
+
+
+def _reference_name(gate: Gate) -> str:
+    mechanism = mechanism_of(gate)
+    if mechanism.token:
+        return f"exact_oracle_replacement_{_replacement(gate):g}"
+    return f"exact_beta_{mechanism.beta:g}"
+
+
+def _same_conditions(reference: Gate, own: Gate) -> bool:
+    """Whether the reference's conditions are the first of the cell's."""
+    n = reference.n_conditions
+    first = own.conditions[:n]
+    return n <= own.n_conditions and bool(np.allclose(reference.conditions, first, rtol=0, atol=SAME_CONDITION))
