@@ -2,11 +2,13 @@
 
 They are a function of (seed, step, purpose): time, source noise and token corruption come from one keyed generator,
 latents and observation noise from their own, so that a mechanism leaves the draws of the others as they are, and runs
-that train side by side draw what each would have drawn alone.
+that train side by side draw what each would have drawn alone. They are made on the CPU and moved to where they are
+needed: a run draws the same on every device.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -15,7 +17,7 @@ from torch import Tensor
 from dualhead_policy.flow.flow_matching import coupled_source_noise, interpolate
 from dualhead_policy.flow.keyed_random import keyed_generator, step_key
 from dualhead_policy.model.dualhead_model import DualheadModel
-from dualhead_policy.model.tokens import TokenCorruption
+from dualhead_policy.model.tokens import TokenCorruption, draw_corruption
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,79 @@ class StepDraws:
 def draw_path_points(
     model: DualheadModel, like: Tensor, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Times (B,) and source noise by head (B, H, d) for actions ``like`` (B, H, D)."""
+    """Times (B,) and source noise by head (B, H, d) for actions ``like`` (B, H, D), drawn on the CPU."""
     config = model.config
-    time = torch.rand(len(like), generator=generator, device=like.device).to(like.dtype)
+    time = torch.rand(len(like), generator=generator).to(like)
     shape = (len(like), config.chunk_size)
     noise = coupled_source_noise(shape, model.head_dims, config.source_noise_beta, generator)
-    return time, {head: value.to(like.dtype) for head, value in noise.items()}
+    return time, {head: value.to(like) for head, value in noise.items()}
+
+
+@dataclass(frozen=True)
+class DrawRule:
+    """What the steps of one run draw, without its model: it can be sent to another process.
+
+    Attributes:
+        seed: Seed of the run.
+        chunk_size: H.
+        head_dims: Dimensions d of each head's space, by head.
+        source_noise_beta: Coupling of the heads' source noise.
+        observation_dim: Size C of the observation noise, 0 for none.
+        n_tokens: Tokens among which a corrupted one is drawn, 0 for none.
+        latent_dim: Dimensions of the latent, or None for none.
+    """
+
+    seed: int
+    chunk_size: int
+    head_dims: Mapping[str, int]
+    source_noise_beta: float
+    observation_dim: int
+    n_tokens: int
+    latent_dim: int | None
+
+    @classmethod
+    def of(cls, model: DualheadModel, observation_dim: int, *, seed: int, has_tokens: bool) -> DrawRule:
+        """The rule of a model's steps, or of its validation where it is in evaluation mode.
+
+        Args:
+            model: The model; its configuration says what is drawn.
+            observation_dim: Size C of the observation.
+            seed: Seed of the run.
+            has_tokens: Whether the windows come with tokens.
+        """
+        config, tokens = model.config, model.tokens
+        corrupted = has_tokens and tokens is not None and (config.token_replacement_prob or config.token_null_prob)
+        return cls(
+            seed,
+            config.chunk_size,
+            dict(model.head_dims),
+            config.source_noise_beta,
+            observation_dim if config.observation_noise and model.training else 0,
+            tokens.n_tokens if tokens is not None and corrupted else 0,
+            None if model.shared_latent is None else model.shared_latent.dim,
+        )
+
+    def draw(self, batch: int, step: int, purpose: str = "train", rank: int = 0) -> StepDraws:
+        """The draws of ``batch`` windows at training step ``step``, in float32 on the CPU.
+
+        Args:
+            batch: Windows B.
+            step: Training step.
+            purpose: ``"train"`` or ``"validate"``.
+            rank: Process of a distributed training; each draws its own.
+        """
+        key = step_key(self.seed, step, purpose, rank)
+        generator = keyed_generator(*key)
+        time = torch.rand(batch, generator=generator)
+        source = coupled_source_noise((batch, self.chunk_size), self.head_dims, self.source_noise_beta, generator)
+        noise = corruption = latent = None
+        if self.observation_dim:
+            noise = torch.randn(batch, self.observation_dim, generator=keyed_generator(*key, "observation"))
+        if self.n_tokens:
+            corruption = draw_corruption((batch,), self.n_tokens, generator)
+        if self.latent_dim is not None:
+            latent = torch.randn(batch, self.latent_dim, generator=keyed_generator(*key, "latent"))
+        return StepDraws(time, source, noise, corruption, latent)
 
 
 def draw_step(
@@ -68,21 +137,19 @@ def draw_step(
         step: Training step.
         rank: Process of a distributed training; each draws its own.
         has_tokens: Whether the windows come with tokens.
+
+    Returns:
+        The draws, of the windows' type and on their device.
     """
-    config, device = model.config, action.device
-    key = step_key(seed, step, "train" if model.training else "validate", rank)
-    generator = keyed_generator(*key, device=device)
-    time, source = draw_path_points(model, action, generator)
-    noise = corruption = latent = None
-    if config.observation_noise and model.training:
-        own = keyed_generator(*key, "observation", device=device)
-        noise = torch.randn(observation.shape, generator=own, device=device).to(observation.dtype)
-    if has_tokens and model.tokens is not None and (config.token_replacement_prob or config.token_null_prob):
-        corruption = model.tokens.draw_corruption((len(action),), generator)
-    if model.shared_latent is not None:
-        own = keyed_generator(*key, "latent", device=device)
-        latent = model.shared_latent.draw((len(action),), own).to(action.dtype)
-    return StepDraws(time, source, noise, corruption, latent)
+    rule = DrawRule.of(model, observation.shape[1], seed=seed, has_tokens=has_tokens)
+    draws = rule.draw(len(action), step, "train" if model.training else "validate", rank)
+    return StepDraws(
+        draws.time.to(action),
+        {head: value.to(action) for head, value in draws.source.items()},
+        None if draws.observation_noise is None else draws.observation_noise.to(observation),
+        None if draws.corruption is None else draws.corruption.to(action.device),
+        None if draws.latent is None else draws.latent.to(action),
+    )
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,16 @@ class TokenCorruption:
     chance: Tensor
     replacement: Tensor
 
+    def to(self, device: torch.device) -> TokenCorruption:
+        """The same draws on another device."""
+        return TokenCorruption(self.chance.to(device), self.replacement.to(device))
+
+
+def draw_corruption(shape: tuple[int, ...], n_tokens: int, generator: torch.Generator) -> TokenCorruption:
+    """The draws of :meth:`TokenTable.corrupt` for tokens of ``shape``, on the CPU."""
+    chance = torch.rand(shape, generator=generator)
+    return TokenCorruption(chance, torch.randint(n_tokens, shape, generator=generator))
+
 
 class TokenTable(nn.Module):
     """Tokens 0..n-1 with their training frequencies and, for window tokens, their centroids.
@@ -112,12 +122,6 @@ class TokenTable(nn.Module):
         count = int(np.prod(shape))
         return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(shape)
 
-    def draw_corruption(self, shape: tuple[int, ...], generator: torch.Generator | None) -> TokenCorruption:
-        """The draws of :meth:`corrupt` for tokens of ``shape``."""
-        device = generator.device if generator is not None else torch.device("cpu")
-        chance = torch.rand(shape, generator=generator, device=device)
-        return TokenCorruption(chance, self.draw(shape, "uniform", generator))
-
     def corrupt(
         self,
         token: Tensor,
@@ -131,9 +135,8 @@ class TokenTable(nn.Module):
         With ``replacement_prob`` a token becomes a uniformly random token (the paper's token dropout); with
         ``null_prob`` it becomes the null token, numbered ``n_tokens``.
         """
-        chance = corruption.chance.to(token.device)
-        token = torch.where(chance < replacement_prob, corruption.replacement.to(token.device), token)
-        return torch.where(chance >= 1 - null_prob, self.n_tokens, token)
+        token = torch.where(corruption.chance < replacement_prob, corruption.replacement, token)
+        return torch.where(corruption.chance >= 1 - null_prob, self.n_tokens, token)
 
     def one_hot(self, token: Tensor) -> Tensor:
         """One-hot code (..., n_tokens); the null token is all zeros."""

@@ -7,7 +7,6 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from lerobot.datasets.sampler import EpisodeAwareSampler
 from torch import Tensor
 
 from dualhead_envs.dataset_frames import SplitFrames
@@ -15,6 +14,7 @@ from dualhead_envs.ring.generator import RingGenerator
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.training.array_store import ArrayStore
+from dualhead_policy.training.window_order import WindowOrder
 
 
 @dataclass(frozen=True)
@@ -50,22 +50,11 @@ class RecordedWindows:
         config = policy.config
         device = policy.training_step.device
         ends = np.flatnonzero(np.diff(frames.episode_index, append=-1)) + 1
-        starts = np.concatenate([[0], ends[:-1]])
-        self._sampler = EpisodeAwareSampler(
-            starts.tolist(),
-            ends.tolist(),
-            drop_n_last_frames=config.drop_n_last_frames,
-            shuffle=True,
-            seed=seed,
-        )
-        self.batch_size = batch_size
-        self.batches_per_epoch = -(-len(self._sampler) // batch_size)
-        self._epoch = -1
-        self._order = torch.empty(0, dtype=torch.int64)
+        self.order = WindowOrder(frames.episode_index, config.drop_n_last_frames, batch_size, seed)
         self._observation = _preprocess(preprocessor, policy, frames.observation)
         self._action = torch.from_numpy(frames.action).to(device)
         self._steps = torch.arange(config.chunk_size, device=device)
-        self._last_frame = torch.from_numpy(np.repeat(ends - 1, ends - starts)).to(device)
+        self._last_frame = torch.from_numpy(np.repeat(ends - 1, np.diff(ends, prepend=0))).to(device)
         self._token: Tensor | None = None
         if config.token in ("oracle", "episode"):
             self._token = policy.episode_token[torch.from_numpy(frames.episode_index).to(device)]
@@ -77,8 +66,7 @@ class RecordedWindows:
         assert policy.model.tokens is not None
         position = self._action[:, policy.model.head_slices["position"]]
         token = torch.zeros(len(position), dtype=torch.int64, device=position.device)
-        frames = torch.tensor(self._sampler.indices, device=position.device)
-        for part in frames.split(65_536):
+        for part in self.order.frames.to(position.device).split(65_536):
             token[part] = policy.model.tokens.assign(position[self._windows(part)])
         return token
 
@@ -87,7 +75,7 @@ class RecordedWindows:
         return torch.minimum(start[:, None] + self._steps, self._last_frame[start, None])
 
     def __len__(self) -> int:
-        return len(self._sampler)
+        return len(self.order)
 
     def share(self, store: ArrayStore) -> None:
         """Hold the arrays in ``store``, where all runs of a machine find theirs; the order of visits stays its own."""
@@ -98,12 +86,10 @@ class RecordedWindows:
 
     def batch(self, step: int) -> Batch:
         """The batch of training step ``step``."""
-        epoch, offset = divmod(step, self.batches_per_epoch)
-        if epoch != self._epoch:
-            self._sampler.set_epoch(epoch)
-            self._order = torch.tensor(list(self._sampler), device=self._action.device)
-            self._epoch = epoch
-        start = self._order[offset * self.batch_size : (offset + 1) * self.batch_size]
+        return self.windows(self.order.starts(step).to(self._action.device))
+
+    def windows(self, start: Tensor) -> Batch:
+        """The windows that begin at the frames ``start`` (B,), on the split's device."""
         return Batch(
             self._observation[start],
             self._action[self._windows(start)],
