@@ -23,7 +23,8 @@ from dualhead_policy.fitting.scales import fit_scales
 from dualhead_policy.fitting.tokens import new_tokens
 from dualhead_policy.flow.coupling import SharedDraws
 from dualhead_policy.flow.diagnostics import latent_sensitivity, teacher_forced_residuals
-from dualhead_policy.flow.draws import StepDraws, draw_step
+from dualhead_policy.flow.draw_rule import StepDraws
+from dualhead_policy.flow.draws import draw_step
 from dualhead_policy.flow.episode_draws import EpisodeDraws
 from dualhead_policy.flow.loss import training_loss
 from dualhead_policy.flow.solver import condition_velocity, numpy_field, sample_chunks

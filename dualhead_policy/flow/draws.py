@@ -8,35 +8,14 @@ needed: a run draws the same on every device.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from dualhead_policy.flow.draw_rule import DrawRule, StepDraws
 from dualhead_policy.flow.flow_matching import coupled_source_noise, interpolate
-from dualhead_policy.flow.keyed_random import keyed_generator, step_key
 from dualhead_policy.model.dualhead_model import DualheadModel
-from dualhead_policy.model.tokens import TokenCorruption, draw_corruption
-
-
-@dataclass(frozen=True)
-class StepDraws:
-    """Everything random in the loss of B windows.
-
-    Attributes:
-        time: t (B,) in [0, 1), the same for all heads.
-        source: Source noise x_0 by head (B, H, d), standard normal.
-        observation_noise: Standard normal (B, C), or None.
-        corruption: Draws that corrupt tokens, or None.
-        latent: Standard normal (B, dim), or None.
-    """
-
-    time: Tensor
-    source: dict[str, Tensor]
-    observation_noise: Tensor | None = None
-    corruption: TokenCorruption | None = None
-    latent: Tensor | None = None
 
 
 def draw_path_points(
@@ -50,71 +29,26 @@ def draw_path_points(
     return time, {head: value.to(like) for head, value in noise.items()}
 
 
-@dataclass(frozen=True)
-class DrawRule:
-    """What the steps of one run draw, without its model: it can be sent to another process.
+def draw_rule(model: DualheadModel, observation_dim: int, *, seed: int, has_tokens: bool) -> DrawRule:
+    """What the steps of a model's training draw, or of its validation where it is in evaluation mode.
 
-    Attributes:
+    Args:
+        model: The model; its configuration says what is drawn.
+        observation_dim: Size C of the observation.
         seed: Seed of the run.
-        chunk_size: H.
-        head_dims: Dimensions d of each head's space, by head.
-        source_noise_beta: Coupling of the heads' source noise.
-        observation_dim: Size C of the observation noise, 0 for none.
-        n_tokens: Tokens among which a corrupted one is drawn, 0 for none.
-        latent_dim: Dimensions of the latent, or None for none.
+        has_tokens: Whether the windows come with tokens.
     """
-
-    seed: int
-    chunk_size: int
-    head_dims: Mapping[str, int]
-    source_noise_beta: float
-    observation_dim: int
-    n_tokens: int
-    latent_dim: int | None
-
-    @classmethod
-    def of(cls, model: DualheadModel, observation_dim: int, *, seed: int, has_tokens: bool) -> DrawRule:
-        """The rule of a model's steps, or of its validation where it is in evaluation mode.
-
-        Args:
-            model: The model; its configuration says what is drawn.
-            observation_dim: Size C of the observation.
-            seed: Seed of the run.
-            has_tokens: Whether the windows come with tokens.
-        """
-        config, tokens = model.config, model.tokens
-        corrupted = has_tokens and tokens is not None and (config.token_replacement_prob or config.token_null_prob)
-        return cls(
-            seed,
-            config.chunk_size,
-            dict(model.head_dims),
-            config.source_noise_beta,
-            observation_dim if config.observation_noise and model.training else 0,
-            tokens.n_tokens if tokens is not None and corrupted else 0,
-            None if model.shared_latent is None else model.shared_latent.dim,
-        )
-
-    def draw(self, batch: int, step: int, purpose: str = "train", rank: int = 0) -> StepDraws:
-        """The draws of ``batch`` windows at training step ``step``, in float32 on the CPU.
-
-        Args:
-            batch: Windows B.
-            step: Training step.
-            purpose: ``"train"`` or ``"validate"``.
-            rank: Process of a distributed training; each draws its own.
-        """
-        key = step_key(self.seed, step, purpose, rank)
-        generator = keyed_generator(*key)
-        time = torch.rand(batch, generator=generator)
-        source = coupled_source_noise((batch, self.chunk_size), self.head_dims, self.source_noise_beta, generator)
-        noise = corruption = latent = None
-        if self.observation_dim:
-            noise = torch.randn(batch, self.observation_dim, generator=keyed_generator(*key, "observation"))
-        if self.n_tokens:
-            corruption = draw_corruption((batch,), self.n_tokens, generator)
-        if self.latent_dim is not None:
-            latent = torch.randn(batch, self.latent_dim, generator=keyed_generator(*key, "latent"))
-        return StepDraws(time, source, noise, corruption, latent)
+    config, tokens = model.config, model.tokens
+    corrupted = has_tokens and tokens is not None and (config.token_replacement_prob or config.token_null_prob)
+    return DrawRule(
+        seed,
+        config.chunk_size,
+        dict(model.head_dims),
+        config.source_noise_beta,
+        observation_dim if config.observation_noise and model.training else 0,
+        tokens.n_tokens if tokens is not None and corrupted else 0,
+        None if model.shared_latent is None else model.shared_latent.dim,
+    )
 
 
 def draw_step(
@@ -141,7 +75,7 @@ def draw_step(
     Returns:
         The draws, of the windows' type and on their device.
     """
-    rule = DrawRule.of(model, observation.shape[1], seed=seed, has_tokens=has_tokens)
+    rule = draw_rule(model, observation.shape[1], seed=seed, has_tokens=has_tokens)
     draws = rule.draw(len(action), step, "train" if model.training else "validate", rank)
     return StepDraws(
         draws.time.to(action),

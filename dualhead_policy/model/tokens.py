@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from sklearn.cluster import KMeans
 from torch import Tensor, nn
 from torch.nn import functional
+
+from dualhead_policy.model.token_corruption import TokenCorruption
 
 #: Rows used to fit k-means; more change the centroids by less than their own spread.
 MAX_CLUSTERED_ROWS = 50_000
@@ -16,24 +16,6 @@ MAX_CLUSTERED_ROWS = 50_000
 K_MEANS_STARTS = 10
 #: Metres; an axis along which nothing moves is not blown up.
 SMALLEST_SCALE = 1e-4
-
-
-@dataclass(frozen=True)
-class TokenCorruption:
-    """Draws that decide which tokens are corrupted: a uniform ``chance`` and a random ``replacement``, each (B,)."""
-
-    chance: Tensor
-    replacement: Tensor
-
-    def to(self, device: torch.device) -> TokenCorruption:
-        """The same draws on another device."""
-        return TokenCorruption(self.chance.to(device), self.replacement.to(device))
-
-
-def draw_corruption(shape: tuple[int, ...], n_tokens: int, generator: torch.Generator) -> TokenCorruption:
-    """The draws of :meth:`TokenTable.corrupt` for tokens of ``shape``, on the CPU."""
-    chance = torch.rand(shape, generator=generator)
-    return TokenCorruption(chance, torch.randint(n_tokens, shape, generator=generator))
 
 
 class TokenTable(nn.Module):

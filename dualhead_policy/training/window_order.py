@@ -26,7 +26,7 @@ class WindowOrder:
     def __init__(self, episode_index: np.ndarray, drop_n_last_frames: int, batch_size: int, seed: int):
         last = np.searchsorted(episode_index, episode_index, side="right") - 1
         frame = np.arange(len(episode_index))
-        self._frames = torch.from_numpy(frame[frame + drop_n_last_frames <= last])
+        self._frames = frame[frame + drop_n_last_frames <= last]
         if not len(self._frames):
             raise ValueError(
                 f"no episode has more than {drop_n_last_frames} frames, the last of which begin no window: record "
@@ -35,7 +35,7 @@ class WindowOrder:
         self.batch_size, self._seed = batch_size, seed
         self.batches_per_epoch = -(-len(self._frames) // batch_size)
         self._epoch = -1
-        self._order = torch.empty(0, dtype=torch.int64)
+        self._order = self._frames
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -43,7 +43,7 @@ class WindowOrder:
     @property
     def frames(self) -> Tensor:
         """First frame of every window (N,), ascending."""
-        return self._frames
+        return torch.from_numpy(self._frames)
 
     def size(self, step: int) -> int:
         """Windows in the batch of training step ``step``."""
@@ -56,5 +56,5 @@ class WindowOrder:
         if epoch != self._epoch:
             seed = int(np.random.SeedSequence([self._seed, epoch]).generate_state(1, dtype=np.uint64)[0])
             permutation = torch.randperm(len(self._frames), generator=torch.Generator().manual_seed(seed))
-            self._order, self._epoch = self._frames[permutation], epoch
-        return self._order[offset * self.batch_size : (offset + 1) * self.batch_size]
+            self._order, self._epoch = self._frames[permutation.numpy()], epoch
+        return torch.from_numpy(self._order[offset * self.batch_size : (offset + 1) * self.batch_size])

@@ -8,7 +8,8 @@ import torch
 from sklearn.cluster import KMeans
 
 from dualhead_policy.flow.keyed_random import keyed_generator
-from dualhead_policy.model.tokens import TokenTable, draw_corruption
+from dualhead_policy.model.token_corruption import draw_corruption
+from dualhead_policy.model.tokens import TokenTable
 
 MANY = 50_000
 
