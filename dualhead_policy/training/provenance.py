@@ -19,12 +19,19 @@ from dualhead_policy.training.training_log import LOG_FILE, read_training_log
 PLATEAU_CHANGE = 0.01
 
 
+class TrainedPolicy(OpenSchema):
+    """What a gate file says of the policy's part of ``train_config.json``: the device on which it was trained."""
+
+    device: str | None = None
+
+
 class TrainingBudget(OpenSchema):
     """What a gate file says of a run, from LeRobot's ``train_config.json``."""
 
     batch_size: Annotated[int, Field(ge=1)] | None = None
     steps: Annotated[int, Field(ge=1)] | None = None
     seed: int | None = None
+    policy: TrainedPolicy | None = None
 
 
 def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
@@ -37,32 +44,35 @@ def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
         "config": config,
         "checkpoint": _fingerprint(folder / "model.safetensors"),
         "training_step": int(policy.training_step),
-        "training": training_summary(folder),
+        "training": training_summary(folder, int(policy.training_step)),
     }
 
 
-def training_summary(folder: Path) -> dict[str, Any]:
-    """What is known of the run that wrote a checkpoint.
+def training_summary(folder: Path, step: int | None = None) -> dict[str, Any]:
+    """What is known of the run that wrote a checkpoint, up to it.
 
     Args:
         folder: The checkpoint's ``pretrained_model`` folder.
+        step: The checkpoint's training step: what the log says of later ones is not about it. None: the whole log.
 
     Returns:
-        ``batch_size``, ``steps`` (the run's budget), ``seed`` and ``fresh_paths`` where the folder holds its training
-        configuration; ``final_loss``, ``plateaued`` and ``judged_loss`` where the run's log is at hand. The flow loss
-        is judged (``judged_loss`` is ``"flow_loss"``), because free bits and a prior's cross-entropy move the total
-        loss too; logs without it are judged on the total loss (``"loss"``). A loss counts as plateaued when the last
-        tenth of the log is within 1 % of the tenth before it.
+        ``batch_size``, ``steps`` (the run's budget), ``seed``, ``device`` and ``fresh_paths`` where the folder holds
+        its training configuration; ``final_loss``, ``plateaued`` and ``judged_loss`` where the run's log is at hand.
+        The flow loss is judged (``judged_loss`` is ``"flow_loss"``), because free bits and a prior's cross-entropy
+        move the total loss too; logs without it are judged on the total loss (``"loss"``). A loss counts as plateaued
+        when the last tenth of the log is within 1 % of the tenth before it.
     """
     summary: dict[str, Any] = {}
     configuration = folder / "train_config.json"
     if configuration.is_file():
         kind = "a training configuration"
         remedy = "copy the checkpoint again, or delete the file"
-        summary = read_validated(configuration, TrainingBudget, kind=kind, remedy=remedy).model_dump()
+        budget = read_validated(configuration, TrainingBudget, kind=kind, remedy=remedy)
+        summary = budget.model_dump(exclude={"policy"})
+        summary["device"] = budget.policy.device if budget.policy else None
         summary["fresh_paths"] = had_fresh_paths(folder.parent)
     log = folder.parents[2] / LOG_FILE if len(folder.parents) >= 3 else None
-    lines = [] if log is None else read_training_log(log)
+    lines = [] if log is None else [line for line in read_training_log(log) if step is None or line.step <= step]
     if not lines:
         return summary
     flow_losses = [line.flow_loss for line in lines if line.flow_loss is not None]

@@ -78,6 +78,8 @@ class Training:
         for group in self.optimizer.param_groups:
             group["fused"] = True
         self.step = 0
+        #: Steps at which a checkpoint is due besides those of ``save_freq``.
+        self.save_at: frozenset[int] = frozenset()
         if cfg.resume:
             assert cfg.checkpoint_path is not None
             self._resume(cfg.checkpoint_path)
@@ -201,7 +203,8 @@ class Training:
 
     def saves_now(self) -> bool:
         """Whether a checkpoint is due at the current step."""
-        return self.cfg.save_checkpoint and should_save_checkpoint(self.step, self.cfg.save_freq, self.cfg.steps)
+        due = self.step in self.save_at or should_save_checkpoint(self.step, self.cfg.save_freq, self.cfg.steps)
+        return self.cfg.save_checkpoint and due
 
     def run(self, progress: Progress | None = None) -> Path:
         """Train to the configured number of steps, saving on the way.

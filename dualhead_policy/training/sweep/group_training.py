@@ -146,6 +146,7 @@ def _built(
         if training.step >= cfg.steps:
             outcome[run.name] = {"state": "finished", "step": training.step}
             continue
+        training.save_at = frozenset(run.save_at)
         training.share_windows(store)
         yield run.name, training
 

@@ -44,8 +44,15 @@ class PlannedRun:
     steps: int
 
 
-def plan_runs(runs: Sequence[SweepRun], output: Path) -> list[PlannedRun]:
+def plan_runs(runs: Sequence[SweepRun], output: Path, precision: str = "fp32") -> list[PlannedRun]:
     """Parse the configuration of every run, and say what it is.
+
+    Where a run is trained (``policy.device``) is no part of what it is; the type in which it computes is.
+
+    Args:
+        runs: The runs.
+        output: The sweep's folder.
+        precision: ``"fp32"`` or ``"bf16"``.
 
     Raises:
         ValueError: If a configuration is wrong; names it.
@@ -67,8 +74,14 @@ def plan_runs(runs: Sequence[SweepRun], output: Path) -> list[PlannedRun]:
             if name not in ("output_dir", "job_name", "checkpoint_path", "wandb", "dataset", "num_workers")
         }
         signature = datasets[run.dataset]
-        identity = {"training": content | {"seed": run.seed}, "data": signature["data"], "fresh": run.fresh_paths}
-        key = [_structure(content), signature["shape"], run.fresh_paths]
+        policy = {name: value for name, value in content["policy"].items() if name != "device"}
+        identity = {
+            "training": content | {"policy": policy, "seed": run.seed},
+            "data": signature["data"],
+            "fresh": run.fresh_paths,
+            "precision": precision,
+        }
+        key = [_structure(content), signature["shape"], run.fresh_paths, run.save_at]
         planned.append(PlannedRun(run, _digest(identity), _digest(key), content["steps"]))
     return planned
 

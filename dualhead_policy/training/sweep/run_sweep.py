@@ -56,7 +56,7 @@ def run_sweep(
     """
     output = output.resolve()
     output.parent.mkdir(parents=True, exist_ok=True)
-    planned = plan_runs(runs, output)
+    planned = plan_runs(runs, output, precision)
     by_name = {run.name: run for run in runs}
     with claimed(output.with_name(f".{output.name}.sweep"), output):
         manifest = continue_manifest(read_manifest(output), planned, size=size, jobs=jobs).as_found(output)

@@ -66,6 +66,7 @@ class SweepRun:
         seed: Its seed.
         arguments: Flags of ``dualhead train`` but for the output folder.
         preset, fresh_paths: As in the sweep file.
+        save_at: Steps at which it saves a checkpoint besides those of ``save_freq``.
     """
 
     name: str
@@ -74,6 +75,7 @@ class SweepRun:
     arguments: tuple[str, ...]
     preset: str | None = None
     fresh_paths: bool = False
+    save_at: tuple[int, ...] = ()
 
 
 def read_sweep(path: Path) -> SweepFile:
@@ -122,7 +124,7 @@ def expand(sweep: SweepFile) -> list[SweepRun]:
                 *([f"--config_path={Path(configuration.config).resolve()}"] if configuration.config else []),
                 f"--dataset.root={Path(root).resolve()}",
                 f"--seed={seed}",
-                *_flags(sweep.flags | configuration.flags),
+                *command_flags(sweep.flags | configuration.flags),
             ),
             sweep.preset,
             sweep.fresh_paths,
@@ -143,7 +145,15 @@ def _named(configuration: str | NamedConfiguration) -> NamedConfiguration:
     return NamedConfiguration(name=Path(configuration).stem, config=configuration)
 
 
-def _flags(flags: Mapping[str, FlagValue]) -> list[str]:
+def command_flags(flags: Mapping[str, FlagValue]) -> list[str]:
+    """Flags of a file as ``dualhead train`` takes them.
+
+    >>> command_flags({"steps": 600, "policy.rotation_head": True})
+    ['--steps=600', '--policy.rotation_head=true']
+
+    Raises:
+        ValueError: If they hold one that each run has of its own.
+    """
     for name in flags:
         if name in ("seed", "output_dir", "dataset.root", "resume", "config_path"):
             raise ValueError(f"the sweep's flags hold {name!r}, which the sweep sets itself: leave it out")

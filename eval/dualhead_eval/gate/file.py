@@ -2,6 +2,8 @@
 
     {"format": "dualhead-gate/1", "sha256": <digest of content>, "content": {...}}
 
+A name that ends in ``.gz`` makes it a gzip file of that document.
+
 A truncated, foreign, edited or newer file is refused in a sentence.
 """
 
@@ -18,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualhead_eval.atomic_text import write_text
+from dualhead_eval.atomic_text import write_bytes
+from dualhead_eval.gate.compressed import compress, decompress, is_compressed
 from dualhead_eval.gate.gate import Gate
 from dualhead_eval.residuals.strata import ResidualStrata
 
@@ -49,7 +52,8 @@ def write_gate(gate: Gate, path: str | os.PathLike, *, overwrite: bool = False) 
             "objects, and None instead of NaN"
         ) from error
     digest = hashlib.sha256(content.encode()).hexdigest()
-    write_text(target, f'{{"format": "{FORMAT}", "sha256": "{digest}", "content": {content}}}\n')
+    document = f'{{"format": "{FORMAT}", "sha256": "{digest}", "content": {content}}}\n'
+    write_bytes(target, compress(document) if is_compressed(target) else document.encode())
     return target
 
 
@@ -61,13 +65,13 @@ def read_gate(path: str | os.PathLike) -> Gate:
         ValueError: If the file is truncated, not a gate file, of another version, or was edited.
     """
     # The schema's package registers environments; importing this module stays light.
-    from dualhead_envs.validated_json import read_json, shown, validated
+    from dualhead_envs.validated_json import shown, validated
     from dualhead_eval.gate.schema import GateContent
 
     source = Path(path)
     if not source.is_file():
         raise FileNotFoundError(f"gate file {source} does not exist: write one with `dualhead evaluate`")
-    document = read_json(source, kind="a gate file", remedy=REMEDY)
+    document = _read_document(source)
     if not isinstance(document, dict) or "format" not in document:
         raise ValueError(f"{source} is JSON but not a gate file (no format field): {REMEDY}")
     if document["format"] != FORMAT:
@@ -89,6 +93,16 @@ def read_gate(path: str | os.PathLike) -> Gate:
         return gate
     except (OverflowError, ValueError) as error:
         raise ValueError(f"{source} holds an inconsistent gate ({error}): {REMEDY}") from error
+
+
+def _read_document(source: Path) -> Any:
+    """The JSON document in a gate file, compressed or not."""
+    from dualhead_envs.validated_json import parse_json, read_json
+
+    kind = "a gate file"
+    if not is_compressed(source):
+        return read_json(source, kind=kind, remedy=REMEDY)
+    return parse_json(decompress(source, kind=kind, remedy=REMEDY), source=str(source), kind=kind, remedy=REMEDY)
 
 
 def _check_names(gate: Gate) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,8 +12,9 @@ from dualhead_eval.gate.file import read_gate
 from dualhead_eval.gate.gate import Gate
 from dualhead_policy.training.sweep.manifest import MANIFEST_FILE, Manifest, read_manifest
 
-#: How a gate file's name ends where folders are searched for them.
+#: How a gate file's name ends where folders are searched for them, plain or compressed.
 GATE_SUFFIX = ".gate.json"
+GATE_SUFFIXES = (GATE_SUFFIX, GATE_SUFFIX + ".gz")
 
 
 @dataclass
@@ -57,7 +58,7 @@ def read_inputs(paths: Iterable[Path]) -> ReportInputs:
         elif (path / "meta" / "dualhead.json").is_file():
             inputs.loops.append(read_closed_loop(path))
         else:
-            found = sorted([*path.glob("*" + GATE_SUFFIX), *path.glob("*" + ROLLOUTS_SUFFIX)])
+            found = _results(path.glob)
             if not found:
                 raise FileNotFoundError(
                     f"{path} holds no *{GATE_SUFFIX}, no *{ROLLOUTS_SUFFIX} and no card.json: give gate files of "
@@ -75,8 +76,13 @@ def _read_sweep(path: Path, inputs: ReportInputs) -> None:
     assert manifest is not None
     inputs.sweeps[path] = manifest.as_found(path)
     inputs.from_folder = True
-    for file in sorted([*path.rglob("*" + GATE_SUFFIX), *path.rglob("*" + ROLLOUTS_SUFFIX)]):
+    for file in _results(path.rglob):
         _read_file(file, inputs)
+
+
+def _results(glob: Callable[[str], Iterable[Path]]) -> list[Path]:
+    """Gate and rollout files that a folder's ``glob`` finds, by name."""
+    return sorted(file for suffix in (*GATE_SUFFIXES, ROLLOUTS_SUFFIX) for file in glob("*" + suffix))
 
 
 def _read_file(path: Path, inputs: ReportInputs) -> None:

@@ -1,0 +1,141 @@
+"""The gate files of studies: which evaluations are done, which are missing, and every result by its run.
+
+for result in study_results("results/studies/gates"):
+    print(result.dataset, result.configuration, result.seed, result.step, result.bank, result.gate)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dualhead_eval.gate import Gate, read_gate
+from dualhead_eval.studies.gate_identity import refuse_other_evaluation, wanted_policy
+from dualhead_eval.studies.study_plan import GATE_SUFFIX, StudyEvaluation, StudyPlan
+
+_NAME = re.compile(
+    r"(?P<dataset>[^/]+)/(?P<configuration>[^/]+)-(?P<budget>\d+k?)/seed-(?P<seed>\d+)/"
+    r"(?P<step>\d+)-(?P<bank>[^/]+)\.gate\.json\.gz"
+)
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """One gate of a study.
+
+    Attributes:
+        dataset, configuration, budget, seed: Its run; the budget in training steps.
+        step: Its checkpoint.
+        bank: The bank under which it was evaluated.
+        gate: The gate.
+        file: Where it lies.
+    """
+
+    dataset: str
+    configuration: str
+    budget: int
+    seed: int
+    step: int
+    bank: str
+    gate: Gate
+    file: Path
+
+
+class GateStore:
+    """Gate files in one folder, as :attr:`StudyEvaluation.gate_file` names them.
+
+    Args:
+        folder: Where they lie.
+    """
+
+    def __init__(self, folder: str | Path):
+        self.folder = Path(folder)
+
+    def path(self, evaluation: StudyEvaluation) -> Path:
+        """Where the gate of an evaluation lies, or belongs."""
+        return self.folder / evaluation.gate_file
+
+    def has(self, evaluation: StudyEvaluation) -> bool:
+        """Whether there is a file; :meth:`results` says whether it is the right one."""
+        return self.path(evaluation).is_file()
+
+    def missing(self, plan: StudyPlan) -> list[StudyEvaluation]:
+        """Evaluations without a gate file, in the plan's order."""
+        return [evaluation for evaluation in plan.evaluations if not self.has(evaluation)]
+
+    def results(self, plan: StudyPlan) -> list[StudyResult]:
+        """The results of a plan that are there, each held against what the plan asks for.
+
+        Raises:
+            ValueError: If a gate file is damaged, or of another configuration, budget, partition or protocol, or if two
+                were evaluated on different data.
+        """
+        policies = {run.cell: run for run in plan.runs}
+        wanted = {cell: wanted_policy(run) for cell, run in policies.items()}
+        results = []
+        first: dict[str, StudyResult] = {}
+        for evaluation in plan.evaluations:
+            path = self.path(evaluation)
+            if not path.is_file():
+                continue
+            gate, run = read_gate(path), evaluation.run
+            dataset = plan.datasets[run.dataset]
+            refuse_other_evaluation(gate, evaluation, plan.bank(evaluation), dataset, wanted[run.cell], source=path)
+            result = StudyResult(
+                run.dataset, run.configuration, run.steps, run.seed, evaluation.step, evaluation.bank, gate, path
+            )
+            _refuse_other_data(first.setdefault(run.dataset, result), result)
+            results.append(result)
+        return results
+
+
+def study_results(folder: str | Path, datasets: Sequence[str] | None = None) -> Iterator[StudyResult]:
+    """Every result below a folder of gate files, by name, whichever studies asked for it.
+
+    Args:
+        folder: For example ``results/studies/gates``.
+        datasets: Only these.
+
+    Raises:
+        ValueError: If a gate file is damaged.
+    """
+    root = Path(folder)
+    for path in sorted(root.rglob(f"*{GATE_SUFFIX}")):
+        match = _NAME.fullmatch(path.relative_to(root).as_posix())
+        if match is None or (datasets is not None and match["dataset"] not in datasets):
+            continue
+        budget = match["budget"]
+        yield StudyResult(
+            match["dataset"],
+            match["configuration"],
+            int(budget.removesuffix("k")) * (1000 if budget.endswith("k") else 1),
+            int(match["seed"]),
+            int(match["step"]),
+            match["bank"],
+            read_gate(path),
+            path,
+        )
+
+
+def fingerprint(gate: Gate) -> str:
+    """Fingerprint of the data that a gate was evaluated on."""
+    return str((gate.provenance.get("dataset") or {}).get("fingerprint"))
+
+
+def training_data(gate: Gate) -> str:
+    """Fingerprint of the training split behind a study's gate; empty where it does not say."""
+    return str((gate.provenance.get("run") or {}).get("training_data", ""))
+
+
+def _refuse_other_data(first: StudyResult, other: StudyResult) -> None:
+    for what, mine, theirs in (
+        ("evaluated on data", fingerprint(first.gate), fingerprint(other.gate)),
+        ("trained on data", training_data(first.gate), training_data(other.gate)),
+    ):
+        if mine != theirs:
+            raise ValueError(
+                f"{other.file} was {what} {theirs[:12]!r}, {first.file} on {mine[:12]!r}, expected one recording of "
+                f"{first.dataset}: move one of them away"
+            )

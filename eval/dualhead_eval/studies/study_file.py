@@ -1,0 +1,191 @@
+"""``studies/NAME.yaml``: what a study trains, evaluates and asks, and by which criteria it will be judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import yaml
+from pydantic import Field, model_validator
+
+from dualhead_envs.validated_json import Label, Schema, validated
+from dualhead_eval.evaluation.protocol import FROZEN_NFE, FROZEN_PAIRS
+from dualhead_eval.studies.criterion import Criterion
+from dualhead_policy.training.sweep.sweep_file import FlagValue, Name, NamedConfiguration
+
+#: Largest study file that is read, in bytes.
+MAX_BYTES = 2**20
+REMEDY = "see docs/studies.md for the fields of a study"
+
+Steps = Annotated[int, Field(ge=1, le=10**8)]
+Count = Annotated[int, Field(ge=1, le=10**7)]
+Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
+
+
+class StudyDataset(Schema):
+    """Demonstrations, as ``dualhead record`` would make them.
+
+    Attributes:
+        env: Environment id.
+        env_kwargs: Its keyword arguments.
+        episodes: Ring: paths in train.
+        pairs: Robots: initial states in all splits, each shown in both modes.
+        conditions: Ring: conditions in val and test.
+        seed, bank_seed: Seeds of the demonstrations, and of the ring's val and test.
+    """
+
+    env: Label
+    env_kwargs: dict[str, Any] = Field(default_factory=dict)
+    episodes: Count | None = None
+    pairs: Count | None = None
+    conditions: Count | None = None
+    seed: Seed = 0
+    bank_seed: Seed | None = None
+
+
+class Bank(Schema):
+    """Conditions and protocol of one evaluation; the defaults are the frozen protocol.
+
+    Attributes:
+        conditions: The first so many of the test split; None: all.
+        pairs: Sample pairs per condition.
+        nfes: Numbers of Euler steps, the reference first.
+        taus: Thresholds beside the partition's own.
+        seed: Seed of the draws.
+        residuals: Whether gates of finished runs keep the residuals between the heads; gates on the way never do.
+    """
+
+    conditions: Count | None = None
+    pairs: Count = FROZEN_PAIRS
+    nfes: list[Annotated[int, Field(ge=1, le=10_000)]] = Field(default=[FROZEN_NFE], min_length=1)
+    taus: list[Annotated[float, Field(gt=0)]] = Field(default_factory=list)
+    seed: Seed = 0
+    residuals: bool = True
+
+
+class RunBlock(Schema):
+    """Configurations x datasets x seeds x budgets, and where their checkpoints are evaluated.
+
+    Attributes:
+        importance: 1 for what a claim rests on; a short budget is spent on small numbers first.
+        configurations: Files of ``dualhead train --config_path``, or named rows with flags of their own.
+        datasets: Names of the study's datasets; None: all.
+        seeds: Training seeds.
+        steps: Training budgets; each is a run of its own.
+        evaluate_at: Steps whose checkpoints are evaluated, at most the budget; None: the end.
+        banks: Names of the study's banks; None: its first.
+        later: Left out of what the study needs to be finished, unless asked for.
+    """
+
+    importance: Annotated[int, Field(ge=1, le=9)]
+    configurations: list[str | NamedConfiguration] = Field(min_length=1)
+    datasets: list[Name] | None = None
+    seeds: list[Seed] = Field(min_length=1)
+    steps: Steps | list[Steps]
+    evaluate_at: list[Steps] | None = None
+    banks: list[Name] | None = None
+    later: bool = False
+
+    @property
+    def budgets(self) -> list[int]:
+        """Training budgets, as a list."""
+        return list(self.steps) if isinstance(self.steps, list) else [self.steps]
+
+    @model_validator(mode="after")
+    def _evaluates_what_it_trains(self) -> Self:
+        late = [step for step in self.evaluate_at or () if step > min(self.budgets)]
+        if late:
+            raise ValueError(f"evaluates at step {late[0]}, beyond its budget of {min(self.budgets)} steps")
+        return self
+
+
+class SmokeBudget(Schema):
+    """What ``--preset smoke`` makes of a study.
+
+    Attributes:
+        importance: Blocks up to this importance are run.
+        seeds: The first so many of each block.
+        steps: Training budget in place of the study's largest; smaller ones and checkpoints shrink alike.
+        conditions, pairs: Conditions, and pairs per condition, of every bank.
+        episodes, demonstration_pairs: Size of ring and robot datasets.
+    """
+
+    importance: Annotated[int, Field(ge=1, le=9)] = 1
+    seeds: Count = 1
+    steps: Steps = 600
+    conditions: Count = 6
+    pairs: Count = 64
+    episodes: Count = 2000
+    demonstration_pairs: Count = 24
+
+
+class StudyFile(Schema):
+    """The content of a study file.
+
+    Attributes:
+        title, question: What the study is called and asks.
+        paper: Tables and sections of the paper that it re-runs.
+        datasets: Demonstrations by name.
+        banks: Evaluations by name; the first is the default of every block.
+        flags: Flags of ``dualhead train`` for every run, without dashes.
+        runs: What is trained and evaluated.
+        criteria: By which its claims are judged.
+        smoke: Its smallest form.
+    """
+
+    title: Label
+    question: str
+    paper: list[str] = Field(default_factory=list)
+    datasets: dict[Name, StudyDataset] = Field(min_length=1)
+    banks: dict[Name, Bank] = Field(min_length=1)
+    flags: dict[str, FlagValue] = Field(default_factory=dict)
+    runs: list[RunBlock] = Field(min_length=1)
+    criteria: list[Criterion] = Field(min_length=1)
+    smoke: SmokeBudget = Field(default_factory=SmokeBudget)
+
+    @model_validator(mode="after")
+    def _names_what_it_has(self) -> Self:
+        for block in self.runs:
+            _refuse_unknown("dataset", block.datasets or (), self.datasets)
+            _refuse_unknown("bank", block.banks or (), self.banks)
+        rows = {named(configuration).name for block in self.runs for configuration in block.configurations}
+        for criterion in self.criteria:
+            _refuse_unknown("row", criterion.all_rows, rows, f"criterion {criterion.name}: ")
+            _refuse_unknown("dataset", criterion.all_datasets, self.datasets, f"criterion {criterion.name}: ")
+            _refuse_unknown("bank", criterion.all_banks, self.banks, f"criterion {criterion.name}: ")
+        names = [criterion.name for criterion in self.criteria]
+        if len(set(names)) < len(names):
+            raise ValueError("has two criteria of one name")
+        return self
+
+
+def named(configuration: str | NamedConfiguration) -> NamedConfiguration:
+    """A configuration with its name: a file's is the file's."""
+    if isinstance(configuration, NamedConfiguration):
+        return configuration
+    return NamedConfiguration(name=Path(configuration).stem, config=configuration)
+
+
+def read_study(path: Path) -> StudyFile:
+    """Read a study file.
+
+    Raises:
+        FileNotFoundError: If there is none.
+        ValueError: If it is not YAML, or does not fit :class:`StudyFile`.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist, expected a study's YAML file: {REMEDY}")
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path} has {path.stat().st_size} bytes, expected a study of at most {MAX_BYTES}: {REMEDY}")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path} is not YAML ({reason}): {REMEDY}") from error
+    return validated(content, StudyFile, source=str(path), remedy=REMEDY)
+
+
+def _refuse_unknown(what: str, given: Any, known: Any, where: str = "") -> None:
+    for name in given:
+        if name not in known:
+            raise ValueError(f"{where}names the {what} {name!r}, which is not among its own")

@@ -1,0 +1,247 @@
+"""The runs that a study needs and the evaluations of their checkpoints, as plain lists.
+
+A run is its dataset, configuration, budget and seed, and its name says so. Studies that need the same run share it,
+and share the gate files of its checkpoints:
+
+    DATASET/CONFIGURATION-BUDGET/seed-S/STEP-BANK.gate.json.gz
+    v2/G_consistency_3-50k/seed-0/050000-frozen.gate.json.gz
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from dualhead_eval.studies.study_file import Bank, RunBlock, StudyDataset, StudyFile, named
+from dualhead_policy.training.sweep.sweep_file import FlagValue, SweepRun, command_flags
+
+#: How a study's gate files end.
+GATE_SUFFIX = ".gate.json.gz"
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """One run of a study.
+
+    Attributes:
+        dataset: Name of its dataset.
+        configuration: Name of its configuration.
+        config: Configuration file, or None.
+        flags: Flags of its own, without dashes, the study's among them.
+        seed: Training seed.
+        steps: Training budget.
+        checkpoints: Steps whose checkpoints are wanted, increasing.
+        importance: The most important block that needs it, 1 being the first.
+    """
+
+    dataset: str
+    configuration: str
+    config: str | None
+    flags: Mapping[str, FlagValue]
+    seed: int
+    steps: int
+    checkpoints: tuple[int, ...]
+    importance: int
+
+    @property
+    def cell(self) -> str:
+        """The run without its seed: ``DATASET/CONFIGURATION-BUDGET``."""
+        return f"{self.dataset}/{self.configuration}-{shown_budget(self.steps)}"
+
+    @property
+    def name(self) -> str:
+        """``DATASET/CONFIGURATION-BUDGET/seed-S``: the run's name in a sweep, and the folder of its gate files."""
+        return f"{self.cell}/seed-{self.seed}"
+
+    def sweep_run(self, data: Path) -> SweepRun:
+        """The run as a sweep trains it, on the datasets below ``data``."""
+        root = data / self.dataset / "train"
+        arguments = (
+            *([f"--config_path={Path(self.config).resolve()}"] if self.config else []),
+            f"--dataset.root={root.resolve()}",
+            f"--seed={self.seed}",
+            *command_flags(self.flags),
+            f"--steps={self.steps}",
+            f"--save_freq={self.steps}",
+        )
+        return SweepRun(self.name, str(root), self.seed, arguments, save_at=self.checkpoints)
+
+
+@dataclass(frozen=True)
+class StudyEvaluation:
+    """One evaluation of a study: a checkpoint under a bank.
+
+    Attributes:
+        run: The run.
+        step: The checkpoint.
+        bank: Name of the bank.
+        importance: As of the run, of this evaluation.
+    """
+
+    run: StudyRun
+    step: int
+    bank: str
+    importance: int
+
+    @property
+    def gate_file(self) -> Path:
+        """Its gate file below the folder of gate files."""
+        return Path(self.run.name) / f"{self.step:06d}-{self.bank}{GATE_SUFFIX}"
+
+    @property
+    def label(self) -> str:
+        """Its name in tables: configuration, budget, dataset and seed, and the step where it is not the last."""
+        at = "" if self.step == self.run.steps else f" at {shown_budget(self.step)}"
+        return f"{self.run.cell} seed {self.run.seed}{at}"
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """What one study, or several, need.
+
+    Attributes:
+        datasets: Demonstrations by name.
+        banks: Evaluation banks by (dataset, bank).
+        runs: Runs, the most important first.
+        evaluations: Evaluations of their checkpoints, the most important first.
+    """
+
+    datasets: dict[str, StudyDataset] = field(default_factory=dict)
+    banks: dict[tuple[str, str], Bank] = field(default_factory=dict)
+    runs: tuple[StudyRun, ...] = ()
+    evaluations: tuple[StudyEvaluation, ...] = ()
+
+    def bank(self, evaluation: StudyEvaluation) -> Bank:
+        """The bank of an evaluation."""
+        return self.banks[evaluation.run.dataset, evaluation.bank]
+
+
+def plan_study(study: StudyFile, *, smoke: bool = False, later: bool = False) -> StudyPlan:
+    """The runs and evaluations of a study.
+
+    Args:
+        study: The study.
+        smoke: In its smallest form.
+        later: With the blocks that are marked ``later``.
+
+    Raises:
+        ValueError: If two of its runs have one name and differ.
+    """
+    if smoke:
+        study = smoke_study(study)
+    plans = [_plan_block(study, block) for block in study.runs if later or not block.later]
+    return join_plans(plans)
+
+
+def smoke_study(study: StudyFile) -> StudyFile:
+    """A study in its smallest form: fewer seeds, steps, demonstrations, conditions and pairs."""
+    smoke = study.smoke
+    largest = max(budget for block in study.runs if not block.later for budget in block.budgets)
+
+    def shrunk(steps: int) -> int:
+        return max(1, round(steps * smoke.steps / largest))
+
+    blocks = [
+        block.model_copy(
+            update={
+                "seeds": block.seeds[: smoke.seeds],
+                "steps": sorted({shrunk(budget) for budget in block.budgets}),
+                "evaluate_at": block.evaluate_at and sorted({shrunk(step) for step in block.evaluate_at}),
+            }
+        )
+        for block in study.runs
+        if block.importance <= smoke.importance and not block.later
+    ]
+    datasets = {
+        name: dataset.model_copy(
+            update={"pairs": smoke.demonstration_pairs}
+            if dataset.pairs is not None
+            else {"episodes": smoke.episodes, "conditions": smoke.conditions}
+        )
+        for name, dataset in study.datasets.items()
+    }
+    banks = {
+        name: bank.model_copy(update={"conditions": None, "pairs": smoke.pairs}) for name, bank in study.banks.items()
+    }
+    return study.model_copy(update={"runs": blocks, "datasets": datasets, "banks": banks})
+
+
+def join_plans(plans: Sequence[StudyPlan]) -> StudyPlan:
+    """What several studies need together; what they share is there once, at its highest importance.
+
+    Raises:
+        ValueError: If two of them mean different things by one name.
+    """
+    datasets: dict[str, StudyDataset] = {}
+    banks: dict[tuple[str, str], Bank] = {}
+    runs: dict[str, StudyRun] = {}
+    evaluations: dict[Path, StudyEvaluation] = {}
+    for plan in plans:
+        for name, dataset in plan.datasets.items():
+            _same("dataset", name, datasets.setdefault(name, dataset), dataset)
+        for key, bank in plan.banks.items():
+            _same("bank", "/".join(key), banks.setdefault(key, bank), bank)
+        for run in plan.runs:
+            known = runs.get(run.name, run)
+            _same("run", run.name, _identity(known), _identity(run))
+            checkpoints = tuple(sorted({*known.checkpoints, *run.checkpoints}))
+            importance = min(known.importance, run.importance)
+            runs[run.name] = replace(known, checkpoints=checkpoints, importance=importance)
+        for evaluation in plan.evaluations:
+            other = evaluations.get(evaluation.gate_file, evaluation)
+            importance = min(other.importance, evaluation.importance)
+            evaluations[evaluation.gate_file] = replace(evaluation, importance=importance)
+    found = [replace(evaluation, run=runs[evaluation.run.name]) for evaluation in evaluations.values()]
+    return StudyPlan(
+        datasets,
+        banks,
+        tuple(sorted(runs.values(), key=lambda run: run.importance)),
+        tuple(sorted(found, key=lambda evaluation: evaluation.importance)),
+    )
+
+
+def shown_budget(steps: int) -> str:
+    """A budget as names have it.
+
+    >>> shown_budget(50_000), shown_budget(600)
+    ('50k', '600')
+    """
+    return f"{steps // 1000}k" if steps % 1000 == 0 else str(steps)
+
+
+def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
+    datasets = {name: study.datasets[name] for name in block.datasets or study.datasets}
+    banks = {name: study.banks[name] for name in block.banks or list(study.banks)[:1]}
+    runs, evaluations = [], []
+    configurations = [named(configuration) for configuration in block.configurations]
+    for configuration, dataset, steps, seed in itertools.product(configurations, datasets, block.budgets, block.seeds):
+        points = tuple(sorted(block.evaluate_at or [steps]))
+        run = StudyRun(
+            dataset=dataset,
+            configuration=configuration.name,
+            config=configuration.config,
+            flags=study.flags | configuration.flags,
+            seed=seed,
+            steps=steps,
+            checkpoints=points,
+            importance=block.importance,
+        )
+        runs.append(run)
+        evaluations += [
+            StudyEvaluation(run, step, bank, block.importance) for step, bank in itertools.product(points, banks)
+        ]
+    keyed = {(dataset, name): bank for dataset in datasets for name, bank in banks.items()}
+    return StudyPlan(datasets, keyed, tuple(runs), tuple(evaluations))
+
+
+def _identity(run: StudyRun) -> tuple[object, ...]:
+    return run.config, dict(run.flags), run.seed, run.steps
+
+
+def _same(what: str, name: str, first: object, second: object) -> None:
+    if first != second:
+        raise ValueError(
+            f"the {what} {name} is given twice and differs ({first} and {second}): give one of them another name"
+        )

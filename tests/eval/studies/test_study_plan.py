@@ -1,0 +1,121 @@
+"""Studies as files: what they may hold, and the runs and evaluations that follow from them."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dualhead_eval.studies.study_file import read_study
+from dualhead_eval.studies.study_plan import join_plans, plan_study
+
+STUDIES = sorted((Path(__file__).parents[3] / "studies").glob("*.yaml"))
+
+SMALL = {
+    "title": "Small",
+    "question": "Does it work?",
+    "datasets": {"ring": {"env": "RotatingRing-v2", "episodes": 100, "conditions": 8}},
+    "banks": {"frozen": {}, "few": {"conditions": 4, "pairs": 8}},
+    "runs": [
+        {
+            "importance": 2,
+            "configurations": [{"name": "A", "flags": {"policy.source_noise_beta": 1.0}}, {"name": "B"}],
+            "seeds": [0, 1],
+            "steps": 400,
+            "evaluate_at": [100, 400],
+        },
+        {"importance": 1, "configurations": ["configs/v2/A_independent.yaml"], "seeds": [0], "steps": [1000, 2000]},
+        {"importance": 3, "configurations": [{"name": "B"}], "seeds": [0], "steps": 400, "banks": ["few"]},
+        {"importance": 9, "configurations": [{"name": "B"}], "seeds": [0], "steps": 8000, "later": True},
+    ],
+    "criteria": [
+        {"name": "floor", "test": "equivalence", "claim": "c", "criterion": "c", "rows": ["A"], "margin": 0.02}
+    ],
+}
+
+
+def written(folder, **changes):
+    path = folder / "study.yaml"
+    path.write_text(yaml.safe_dump(SMALL | changes, sort_keys=False))
+    return path
+
+
+def small(folder, **changes):
+    return read_study(written(folder, **changes))
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_every_study_plans_runs_of_configurations_that_exist(path):
+    study = read_study(path)
+    plan = plan_study(study)
+    assert {run.dataset for run in plan.runs} == set(study.datasets)
+    assert all(Path(__file__).parents[3].joinpath(run.config).is_file() for run in plan.runs if run.config)
+    planned = {(evaluation.run.name, evaluation.step) for evaluation in plan.evaluations}
+    assert planned == {(run.name, step) for run in plan.runs for step in run.checkpoints}
+    smoke = plan_study(study, smoke=True)
+    assert 0 < len(smoke.runs) < len(plan.runs)
+    assert max(run.steps for run in smoke.runs) == study.smoke.steps
+
+
+def test_all_studies_agree_on_what_they_share():
+    plans = [plan_study(read_study(path), later=True) for path in STUDIES]
+    joined = join_plans(plans)
+    assert len(joined.runs) < sum(len(plan.runs) for plan in plans)
+    assert [run.importance for run in joined.runs] == sorted(run.importance for run in joined.runs)
+    assert len({evaluation.gate_file for evaluation in joined.evaluations}) == len(joined.evaluations)
+
+
+def test_a_shared_run_is_planned_once_with_every_checkpoint_and_bank(tmp_path):
+    plan = plan_study(small(tmp_path))
+    names = [run.name for run in plan.runs]
+    assert len(names) == len(set(names)) == 4 + 2
+    assert names[0] == "ring/A_independent-1k/seed-0"
+    files = {str(e.gate_file) for e in plan.evaluations if e.run.name == "ring/B-400/seed-0"}
+    assert files == {
+        f"ring/B-400/seed-0/{name}.gate.json.gz" for name in ("000100-frozen", "000400-frozen", "000400-few")
+    }
+    assert "ring/B-8k/seed-0" in {run.name for run in plan_study(small(tmp_path), later=True).runs}
+
+
+def test_a_run_trains_as_a_sweep_would(tmp_path):
+    run = plan_study(small(tmp_path)).runs[-1].sweep_run(tmp_path)
+    assert run.save_at == (100, 400)
+    assert run.dataset == str(tmp_path / "ring" / "train")
+    assert {"--steps=400", "--save_freq=400", "--seed=1"} <= set(run.arguments)
+
+
+def test_one_name_for_two_things_is_refused(tmp_path):
+    blocks = [*SMALL["runs"], SMALL["runs"][2] | {"configurations": [{"name": "B", "flags": {"batch_size": 7}}]}]
+    with pytest.raises(ValueError, match="the run ring/B-400/seed-0 is given twice and differs"):
+        plan_study(small(tmp_path, runs=blocks))
+    other = small(tmp_path, datasets={"ring": {"env": "RotatingRing-v2", "episodes": 7}})
+    with pytest.raises(ValueError, match="the dataset ring is given twice"):
+        join_plans([plan_study(small(tmp_path)), plan_study(other)])
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"criteria": [SMALL["criteria"][0] | {"rows": ["C"]}]}, "names the row 'C'"),
+        ({"criteria": [SMALL["criteria"][0] | {"test": "guess"}]}, "criteria.0"),
+        ({"criteria": SMALL["criteria"] * 2}, "two criteria of one name"),
+        ({"runs": [SMALL["runs"][2] | {"banks": ["none"]}]}, "names the bank 'none'"),
+        ({"runs": [SMALL["runs"][2] | {"evaluate_at": [500]}]}, "beyond its budget of 400 steps"),
+        ({"runs": [SMALL["runs"][2] | {"seeds": [-1]}]}, "greater than or equal to 0"),
+        ({"surprise": 1}, "unknown field 'surprise'"),
+    ],
+)
+def test_a_study_that_contradicts_itself_is_refused(tmp_path, changes, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        small(tmp_path, **changes)
+
+
+def test_what_is_no_study_is_refused_in_a_sentence(tmp_path):
+    with pytest.raises(FileNotFoundError, match="expected a study's YAML file"):
+        read_study(tmp_path / "none.yaml")
+    path = tmp_path / "torn.yaml"
+    path.write_text("title: [")
+    with pytest.raises(ValueError, match="is not YAML"):
+        read_study(path)
+    path.write_bytes(b" " * (2**20 + 1))
+    with pytest.raises(ValueError, match="at most"):
+        read_study(path)
