@@ -13,14 +13,17 @@ from dualhead_envs.validated_json import Schema, validated
 SOURCE = "registration.yaml"
 PolicyFields = dict[str, str | int | float]
 Seed = Annotated[int, Field(ge=0)]
+#: Environments that the protocol names.
+EnvName = Literal["v2", "v3"]
 Share = Annotated[float, Field(gt=0, lt=1)]
 
 
 class Environment(Schema):
-    """An environment, and how many pairs of demonstrations are recorded in it."""
+    """An environment, and how many pairs of demonstrations are recorded in it, in full and in the smoke preset."""
 
     env_id: str
     pairs: Annotated[int, Field(gt=0)]
+    smoke_pairs: Annotated[int, Field(gt=0)]
 
 
 class Executor(Schema):
@@ -147,7 +150,7 @@ class Registration(Schema):
 
     format: Literal["dualhead-monitor-registration/1"]
     question: str
-    environments: dict[Literal["v2", "v3"], Environment]
+    environments: dict[EnvName, Environment]
     arms: dict[str, PolicyFields]
     baseline: str
     primary_arm: str
