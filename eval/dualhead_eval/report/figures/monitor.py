@@ -45,7 +45,7 @@ def roc_figure(logs: Sequence[AlarmLog], signals: Sequence[str] = ()) -> Figure 
         kinds = np.array([_kind(stratum) for stratum in log.strata])
         lines = [k for k in np.unique(kinds) if ((kinds == k) & ~log.success).sum() >= FEWEST]
         if lines and log.success.any():
-            panels += [(log, signal, kinds, lines) for signal in signals or log.signals]
+            panels += [(log, signal, kinds, lines) for signal in log.signals if not signals or signal in signals]
     if not panels:
         return None
     figure, axes = _grid(len(panels))
@@ -85,7 +85,12 @@ def gap_figure(measured: Mapping[tuple[str, str], Mapping[str, Measure]]) -> Fig
 
 def delay_figure(logs: Sequence[AlarmLog], signals: Sequence[str] = ()) -> Figure | None:
     """Share detected against steps after the onset; None where no failure has an onset."""
-    lines = [(f"{log.label}: {signal}", delays(log, signal)) for log in logs for signal in signals or log.signals]
+    lines = [
+        (f"{log.label}: {signal}", delays(log, signal))
+        for log in logs
+        for signal in log.signals
+        if not signals or signal in signals
+    ]
     lines = [(name, late) for name, late in lines if late.steps.size]
     if not lines:
         return None
