@@ -14,16 +14,18 @@ ROOT/card.json, for example
   dualhead record --root data/ring
   dualhead record --env RotatingRing-v4 --representation nullspace --preset full --root data/ring4
   dualhead record --env v2 --root data/v2
+  dualhead record --env v2 --ways 3 --root data/v2_three_ways
 
 An interrupted recording resumes when its command is repeated. Nothing is overwritten.
 """
 
 _ALIASES = {"ring": "RotatingRing-v2", "v2": "BimodalBypass-v2", "v3": "RotatingBypass-v3"}
 _PRESETS = {"smoke": 3_000, "full": 50_000}
-#: Options that are keyword arguments of the ring, and all that only one family of environments has.
+#: Options that are keyword arguments of an environment, and all that only one family of environments has.
 _RING_KWARGS = ("representation", "mode_probabilities", "mode_angles", "path_spread")
 _RING = ("preset", "episodes", "conditions", "bank_seed", *_RING_KWARGS)
-_BYPASS = ("pairs", "workers")
+_BYPASS_KWARGS = ("ways",)
+_BYPASS = ("pairs", "workers", *_BYPASS_KWARGS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,10 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ring.add_argument("--path-spread", type=float, metavar="M", help="sd of a path's offset (default: 0.08 m)")
 
     bypass = parser.add_argument_group("bypass")
-    bypass.add_argument("--pairs", type=int, metavar="N", help="initial states, each shown in both modes")
+    bypass.add_argument("--pairs", type=int, metavar="N", help="initial states, each shown in every mode")
+    bypass.add_argument(
+        "--ways", type=int, metavar="K", help="v2: 2 (left, right; default) or 3 (over the wall as well)"
+    )
     bypass.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
     bypass.add_argument(
-        "--preview", type=Path, metavar="FILE", help="also show one pair: contact sheet (.png) or film (.gif)"
+        "--preview", type=Path, metavar="FILE", help="also show one initial state: contact sheet (.png) or film (.gif)"
     )
 
 
@@ -82,6 +87,8 @@ def run(args: argparse.Namespace) -> int:
     own, foreign = (_RING, _BYPASS) if is_ring else (_BYPASS, _RING)
     if given := [f"--{name.replace('_', '-')}" for name in foreign if getattr(args, name) is not None]:
         raise ValueError(f"{', '.join(given)} is not an option of {env_id}: see `dualhead record --help`")
+    if args.ways is not None and env_id != "BimodalBypass-v2":
+        raise ValueError(f"--ways is not an option of {env_id}: see `dualhead record --help`")
     if args.preset and args.episodes is not None:
         raise ValueError("--preset and --episodes both set the size of train: give one of them")
     if args.preview is not None:
@@ -94,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     options = {name: getattr(args, name) for name in own if getattr(args, name) is not None}
     if preset := options.pop("preset", None):
         options["episodes"] = _PRESETS[preset]
-    env_kwargs = {name: options.pop(name) for name in _RING_KWARGS if name in options}
+    env_kwargs = {name: options.pop(name) for name in (*_RING_KWARGS, *_BYPASS_KWARGS) if name in options}
     env_kwargs |= {name: getattr(args, name) for name in ("control", "tau") if getattr(args, name) is not None}
 
     start = time.monotonic()
@@ -108,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     if args.preview is not None:
         from dualhead_envs.bypass.preview import write_preview
 
-        print(write_preview(env_id, args.preview, seed=args.seed))
+        print(write_preview(env_id, args.preview, seed=args.seed, ways=args.ways))
     return 0
 
 

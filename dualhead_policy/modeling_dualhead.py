@@ -23,7 +23,8 @@ from dualhead_policy.fitting.scales import fit_scales
 from dualhead_policy.fitting.tokens import new_tokens
 from dualhead_policy.flow.coupling import SharedDraws
 from dualhead_policy.flow.diagnostics import latent_sensitivity, teacher_forced_residuals
-from dualhead_policy.flow.draws import StepDraws, draw_step
+from dualhead_policy.flow.draw_rule import StepDraws
+from dualhead_policy.flow.draws import draw_step
 from dualhead_policy.flow.episode_draws import EpisodeDraws
 from dualhead_policy.flow.loss import training_loss
 from dualhead_policy.flow.solver import condition_velocity, numpy_field, sample_chunks
@@ -269,12 +270,6 @@ class DualheadPolicy(PreTrainedPolicy):
         Raises:
             ValueError: If the policy has no such head, or needs a token or latent that is not given.
         """
-        if head not in self.model.head_dims:
-            raise ValueError(f"the policy has no head {head!r}: choose one of {list(self.model.head_dims)}")
-        for name, part, given in (("token", self.model.tokens, token), ("latent", self.model.shared_latent, latent)):
-            if (part is None) != (given is None):
-                needs = f"needs a {name} for every row: pass {name}=..." if part is not None else f"has no {name}"
-                raise ValueError(f"the policy {needs}")
         field = condition_velocity(self.model, self._observation(batch), head, SharedDraws(token, latent))
         return numpy_field(field, next(self.parameters()))
 
@@ -286,6 +281,13 @@ class DualheadPolicy(PreTrainedPolicy):
         if self.model.tokens is None:
             return None
         return self.model.draw_tokens(self.model.embed(self._observation(batch)), num_samples, generator)
+
+    @torch.no_grad()
+    def token_probabilities(self, batch: Mapping[str, Tensor]) -> Tensor | None:
+        """With which probabilities (B, n_tokens) :meth:`draw_tokens` draws each token; None without tokens."""
+        if self.model.tokens is None:
+            return None
+        return self.model.token_probabilities(self.model.embed(self._observation(batch)))
 
     # --- closed loop -------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""BimodalBypass-v2: past a wall, on the left or on the right."""
+"""BimodalBypass-v2: past a wall, on the left or on the right, and on request over it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from dualhead_envs.bypass.documentation import documented
 from dualhead_envs.bypass.environment import BypassEnv
 from dualhead_envs.bypass.layout import BIMODAL_BYPASS_LAYOUT
-from dualhead_envs.bypass.partition import BIMODAL_TAU, BimodalPartition
+from dualhead_envs.bypass.partition import BIMODAL_TAU, BimodalPartition, BypassPartition, ThreeWayPartition
 from dualhead_envs.bypass.task import BIMODAL_BYPASS
 
 _LAYOUT = BIMODAL_BYPASS_LAYOUT
@@ -16,6 +16,8 @@ _LAYOUT = BIMODAL_BYPASS_LAYOUT
 @documented(_LAYOUT, BIMODAL_BYPASS.env_id)
 class BimodalBypassEnv(BypassEnv):
     """A Panda carries a cube past a wall to a goal behind it, on the left or on the right.
+
+    With ``ways=3`` there is a third mode, over the wall; scene, observations, actions and success stay the same.
 
     The scene is robosuite 1.4.1's Lift with a wall and a goal (paper, sec:envs and app:prereg); MuJoCo steps it at
     500 Hz, 25 steps to one action (20 Hz).
@@ -46,7 +48,8 @@ class BimodalBypassEnv(BypassEnv):
 
     ## Reward and info
     The reward is 1 on success and 0 otherwise. ``info`` holds, at reset and at every step, ``is_success`` (bool),
-    ``mode`` (0 left, 1 right, -1 undecided, of the path so far by ``mode_partition``), ``collision`` (bool),
+    ``mode`` (0 left, 1 right, 2 over, -1 undecided, of the path so far by ``mode_partition``; without ``ways=3`` a path
+    over the wall is of no mode), ``collision`` (bool),
     ``failure``, why the episode would fail if it ended now (``none``, ``collision``; ``drop``: the cube fell though the
     hand was to hold it; ``miss``: it was let go beside the goal, or never lifted; ``timeout`` at step 300), and
     ``onset``, the control step at which the perturbation begins to act (-1: none, or not yet decided).
@@ -56,15 +59,30 @@ class BimodalBypassEnv(BypassEnv):
     ## Arguments
     ``control``; ``feed_forward`` (True: position and pose targets are tracked without lag, False: robosuite's law as
     it is); ``pixels``, ``render_mode`` (``"rgb_array"``), ``camera`` (a camera of the scene, or None for a view of
-    the obstacle) and ``image_size`` (height, width); ``tau``, the partition's threshold in metres; ``perturbation``.
+    the obstacle) and ``image_size`` (height, width); ``ways`` (2: left and right, 3: over as well); ``tau``, the
+    partition's threshold in metres; ``perturbation``.
     """
 
     bypass = BIMODAL_BYPASS
     layout = _LAYOUT
     task_description = "Carry the cube past the wall, on either side, and drop it at the goal."
 
-    def __init__(self, *, tau: float = BIMODAL_TAU, **settings: Any) -> None:
-        super().__init__(BimodalPartition(tau), **settings)
+    def __init__(self, *, ways: int = 2, tau: float = BIMODAL_TAU, **settings: Any) -> None:
+        super().__init__(bimodal_partition(ways, tau), **settings)
+        self._arguments["ways"] = ways
+        if ways == 3:
+            self.task_description = "Carry the cube past the wall, on either side or over it, and drop it at the goal."
+
+
+def bimodal_partition(ways: int, tau: float = BIMODAL_TAU) -> BypassPartition:
+    """The partition of the wall's ``ways``.
+
+    Raises:
+        ValueError: If ``ways`` is neither 2 nor 3, or ``tau`` is no positive length.
+    """
+    if ways not in (2, 3):
+        raise ValueError(f"ways={ways!r} should be 2 (left, right) or 3 (left, right, over the wall)")
+    return BimodalPartition(tau) if ways == 2 else ThreeWayPartition(tau)
 
 
 def bimodal_bypass(**settings: Any) -> BimodalBypassEnv:

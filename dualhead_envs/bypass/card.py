@@ -1,13 +1,15 @@
-"""The geometry card: what a recording's two modes look like, beside what the paper says of its own.
+"""The geometry card: what a recording's modes look like, beside what the paper says of its own two.
 
 All lengths are in millimetres. The window is the 16 states after the branch point; per pair, the gap is the mean
-over the window of the distance between the two demonstrations at the same step. The apex is where the expert's route
-turns; a path's apex is its outermost point within the window. A demonstration is valid if its window reaches tau.
+over the window of the distance between the two demonstrations at the same step. Of three modes it is that of the two
+nearest, and what describes one line between two modes is left out. The apex is where the expert's route turns; a
+path's apex is its outermost point within the window. A demonstration is valid if its window reaches tau.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -60,18 +62,31 @@ MEANINGS = {
 }
 
 
+#: What a row means where there are more than two modes.
+SETS_MEANINGS = {
+    "pairs": "initial states kept (every mode succeeded)",
+    "mode_gap_mean_mm": "distance between the two nearest modes in the window, mean over initial states",
+    "mode_gap_sd_mm": "... its standard deviation over initial states",
+    "endpoint_gap_max_mm": "distance between two modes' last states, largest",
+    "single_feature_auroc": "best AUROC of one scalar of the window for a mode against the others",
+}
+
+#: One demonstration a mode, in the modes' order, from one initial state.
+Modes = tuple[Episode, ...]
+
+
 def geometry_card(
-    env_id: str, splits: Mapping[str, Sequence[tuple[Episode, Episode]]], partition: BypassPartition, rejections: int
+    env_id: str, splits: Mapping[str, Sequence[Modes]], partition: BypassPartition, rejections: int
 ) -> dict[str, Any]:
-    """The card of train, val and test, lists of pairs (mode 0, mode 1): measured values, the paper's, and meanings."""
+    """The card of train, val and test, lists of (mode 0, mode 1, ...): measured values, the paper's, and meanings."""
     pairs = [pair for split in splits.values() for pair in split]
-    gaps = np.array([_window(a)[:, POSITION] - _window(b)[:, POSITION] for a, b in pairs]) * 1e3
-    distance = np.linalg.norm(gaps, axis=2).mean(axis=1)
-    separation = gaps.mean(axis=1)
-    # An unordered pair has a separation axis, not a direction: it is turned to point to +y.
-    angle = np.degrees(np.arctan(separation[:, 2] / separation[:, 1]))
-    share = np.abs(separation[:, 1]) / np.linalg.norm(separation, axis=1)
-    ends = np.array([a.action[-1, POSITION] - b.action[-1, POSITION] for a, b in pairs]) * 1e3
+    two_modes = list(combinations(range(partition.n_modes), 2))
+    # (pairs of modes, initial states, window, 3)
+    windows = np.array([[_window(episode)[:, POSITION] for episode in pair] for pair in pairs])
+    gaps = np.stack([windows[:, i] - windows[:, j] for i, j in two_modes]) * 1e3
+    distance = np.linalg.norm(gaps, axis=3).mean(axis=2).min(axis=0)
+    last = np.array([[episode.action[-1, POSITION] for episode in pair] for pair in pairs])
+    ends = np.stack([last[:, i] - last[:, j] for i, j in two_modes]) * 1e3
     apex = np.array([e.extra["apex_error"] for pair in pairs for e in pair]) * 1e3
     overshoot = np.array([e.extra["overshoot"] for pair in pairs for e in pair]) * 1e3
     clearance = np.array([e.extra["clearance"] for pair in pairs for e in pair]) * 1e3
@@ -82,13 +97,7 @@ def geometry_card(
         "frames": sum(len(episode) for pair in pairs for episode in pair),
         "mode_gap_mean_mm": float(distance.mean()),
         "mode_gap_sd_mm": float(distance.std(ddof=min(1, len(pairs) - 1))),
-        "nonlateral_gap_mean_mm": float(np.linalg.norm(gaps[..., [0, 2]], axis=2).mean()),
-        "separation_angle_min_deg": float(angle.min()),
-        "separation_angle_max_deg": float(angle.max()),
-        "separation_angle_sd_deg": float(angle.std()),
-        "lateral_share_min": float(share.min()),
-        "lateral_share_mean": float(share.mean()),
-        "endpoint_gap_max_mm": float(np.linalg.norm(ends, axis=1).max()),
+        "endpoint_gap_max_mm": float(np.linalg.norm(ends, axis=2).max()),
         "apex_error_mean_mm": float(apex.mean()),
         "apex_error_max_mm": float(apex.max()),
         "overshoot_mean_mm": float(overshoot.mean()),
@@ -97,18 +106,40 @@ def geometry_card(
         "single_feature_auroc": auroc,
     }
     measured["mode_gap_cv"] = measured["mode_gap_sd_mm"] / measured["mode_gap_mean_mm"]
+    of_two = partition.n_modes == 2
+    if of_two:
+        measured |= _separation(gaps[0])
+    meanings = (
+        MEANINGS if of_two else {key: text for key, text in (MEANINGS | SETS_MEANINGS).items() if key in measured}
+    )
     return {
         "format": FORMAT,
         "env_id": env_id,
         "horizon": HORIZON,
-        "measured": {key: measured[key] for key in MEANINGS},
-        "paper": PAPER[env_id],
+        "measured": {key: measured[key] for key in meanings},
+        "paper": PAPER[env_id] if of_two else {},
         "single_feature": feature,
-        "meanings": MEANINGS,
+        "meanings": meanings,
     }
 
 
-def _valid_share(pairs: Sequence[tuple[Episode, Episode]], partition: BypassPartition) -> float:
+def _separation(gaps: np.ndarray) -> dict[str, float]:
+    """Along which line two modes part, of their differences (B, H, 3) in mm."""
+    separation = gaps.mean(axis=1)
+    # An unordered pair has a separation axis, not a direction: it is turned to point to +y.
+    angle = np.degrees(np.arctan(separation[:, 2] / separation[:, 1]))
+    share = np.abs(separation[:, 1]) / np.linalg.norm(separation, axis=1)
+    return {
+        "nonlateral_gap_mean_mm": float(np.linalg.norm(gaps[..., [0, 2]], axis=2).mean()),
+        "separation_angle_min_deg": float(angle.min()),
+        "separation_angle_max_deg": float(angle.max()),
+        "separation_angle_sd_deg": float(angle.std()),
+        "lateral_share_min": float(share.min()),
+        "lateral_share_mean": float(share.mean()),
+    }
+
+
+def _valid_share(pairs: Sequence[Modes], partition: BypassPartition) -> float:
     episodes = [episode for pair in pairs for episode in pair]
     windows = np.array([_window(episode)[:, POSITION] for episode in episodes])
     condition = np.array([episode.environment_state[0] for episode in episodes])
@@ -120,15 +151,20 @@ def _window(episode: Episode) -> np.ndarray:
     return episode.action[episode.branch_step : episode.branch_step + HORIZON].astype(np.float64)
 
 
-def _best_feature(pairs: Sequence[tuple[Episode, Episode]]) -> tuple[str, float]:
-    """The scalar of the window that tells the two demonstrations apart best, and its AUROC (0.5 to 1).
+def _best_feature(pairs: Sequence[Modes]) -> tuple[str, float]:
+    """The scalar of the window that tells the demonstrations apart best, and its AUROC (0.5 to 1).
 
     The paper's shortcut test (sec:envs): pooled over conditions, so that only a fixed coordinate can score. Scalars
     are mean, minimum, maximum and last value of every joint, coordinate and rotation entry. The label is the mode;
-    in v3 it is the name, A or B, under which the generator drew the route.
+    in v3 it is the name, A or B, under which the generator drew the route. Of three modes, each in turn stands against
+    the others.
     """
     windows = np.array([_window(episode)[:, :16] for pair in pairs for episode in pair])
-    label = np.array([episode.extra["drawn_second"] for pair in pairs for episode in pair]) > 0.5
+    if len(pairs[0]) == 2:
+        labels = [np.array([episode.extra["drawn_second"] for pair in pairs for episode in pair]) > 0.5]
+    else:
+        modes = np.array([episode.mode for pair in pairs for episode in pair])
+        labels = [modes == mode for mode in range(len(pairs[0]))]
     windows = np.concatenate([windows[..., POSITION], windows[..., ROTATION], windows[..., JOINTS]], axis=-1)
     names = [f"position.{axis}" for axis in "xyz"] + [f"rotation.{i}" for i in range(6)]
     names += [f"joint.{i}" for i in range(7)]
@@ -138,7 +174,7 @@ def _best_feature(pairs: Sequence[tuple[Episode, Episode]]) -> tuple[str, float]
     best = ("", 0.0)
     for summary, values in summaries.items():
         for name, column in zip(names, values.T, strict=True):
-            score = _auroc(column, label)
+            score = max(_auroc(column, label) for label in labels)
             if score > best[1]:
                 best = (f"{summary} of {name}", score)
     return best

@@ -1,8 +1,9 @@
-"""Pairs of demonstrations: both modes from one initial state, kept only if both succeed."""
+"""Sets of demonstrations: every mode from one initial state, kept only if all succeed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from dualhead_envs.bypass.demonstrator import (
 from dualhead_envs.bypass.environment import BypassEnv
 from dualhead_envs.bypass.task import ROUTE_CENTER, ROUTE_FLATTENING
 
-#: The modes part where the two demonstrations are further apart than this (m; paper, app:prereg).
+#: The modes part where two demonstrations are further apart than this (m; paper, app:prereg).
 SEPARATION = 1e-5
 #: States after the branch point that make up the window.
 HORIZON = 16
@@ -61,21 +62,21 @@ class Demonstration:
 
 
 @dataclass
-class Pair:
-    """Both demonstrations from one initial state."""
+class DemonstrationSet:
+    """One demonstration a mode, in the modes' order, from one initial state."""
 
-    demonstrations: tuple[Demonstration, Demonstration]
+    demonstrations: tuple[Demonstration, ...]
     branch_step: int
     amplitude: float
 
     @property
     def success(self) -> bool:
-        """Whether both succeeded."""
+        """Whether all succeeded."""
         return all(demonstration.success for demonstration in self.demonstrations)
 
 
-def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
-    """Both modes from the initial state of ``seed``; ``env`` needs ``control="pose"``."""
+def demonstrate_modes(env: BypassEnv, seed: int) -> DemonstrationSet:
+    """Every mode of ``env`` from the initial state of ``seed``; ``env`` needs ``control="pose"``."""
     observation, _ = env.reset(seed=seed)
     initial = env.initial_state
     amplitude = float(env.np_random.normal(AMPLITUDE, AMPLITUDE_DEVIATION))
@@ -83,16 +84,17 @@ def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
     start_position = env.simulation.position.copy()
     shared = Demonstration([observation["agent_pos"]], [observation["environment_state"]])
     shared_legs = grasp_and_lift(initial)
+    modes = range(env.mode_partition.n_modes)
     commands = [
         follow([*shared_legs, *pass_and_release(env.bypass, initial, mode, amplitude)], start_position)
-        for mode in (0, 1)
+        for mode in modes
     ]
     branch_step = sum(leg.steps + leg.hold for leg in shared_legs)
     _execute(env, commands[0][:branch_step], start_rotation, shared)
     branch = env.state()
 
     demonstrations = []
-    for mode in (0, 1):
+    for mode in modes:
         env.reset(options={"state": branch})
         demonstration = Demonstration(list(shared.agent_pos), list(shared.environment_state), list(shared.gripper))
         _execute(env, commands[mode][branch_step:], start_rotation, demonstration, measure_clearance=True)
@@ -101,10 +103,16 @@ def demonstrate_pair(env: BypassEnv, seed: int) -> Pair:
             demonstration.positions()[branch_step + 1 : branch_step + 1 + HORIZON, 1:], apex[1:3]
         )
         demonstrations.append(demonstration)
-    first, second = demonstrations
-    shortest = min(len(first.gripper), len(second.gripper)) + 1
-    apart = np.linalg.norm(first.positions()[:shortest] - second.positions()[:shortest], axis=1) > SEPARATION
-    return Pair((first, second), int(np.argmax(apart)) - 1, amplitude)
+    branch_step = min(
+        _first_apart(first.positions(), second.positions()) for first, second in combinations(demonstrations, 2)
+    )
+    return DemonstrationSet(tuple(demonstrations), branch_step - 1, amplitude)
+
+
+def _first_apart(first: np.ndarray, second: np.ndarray) -> int:
+    """The first state at which two paths (T, 3) of any lengths are further apart than :data:`SEPARATION`."""
+    shortest = min(len(first), len(second))
+    return int(np.argmax(np.linalg.norm(first[:shortest] - second[:shortest], axis=1) > SEPARATION))
 
 
 def apex_miss(path: np.ndarray, apex: np.ndarray) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """The scripted expert: grasp, lift, go past the obstacle by the given mode, drop at the goal.
 
 It commands absolute poses along minimum-jerk segments; what a policy learns from is not the commands but the measured
-states. Both demonstrations of a pair share everything up to the branch, which is the lift pose: conditions differ
-there, because the cube's do.
+states. The demonstrations from one initial state share everything up to the branch, which is the lift pose:
+conditions differ there, because the cube's do.
 
 Lengths are in control steps (20 Hz), places in metres in the world frame, yaw in rad from the start's.
 """
@@ -129,8 +129,13 @@ def route_azimuth(initial: InitialState, mode: int) -> float:
 
 
 def route_apex(task: BypassTask, initial: InitialState, mode: int, amplitude: float) -> np.ndarray:
-    """Where the route of ``mode`` passes the obstacle, before it: (x, y, z) in m, and the yaw there, (4,)."""
+    """Where the route of ``mode`` passes the obstacle, before it: (x, y, z) in m, and the yaw there, (4,).
+
+    v2's mode 2 goes over the wall: as far up as the others go aside, in the units of the flattened cross-section.
+    """
     if task.route_radius is None:
+        if mode == 2:
+            return np.array([_OUT_X, ROUTE_CENTER[0], ROUTE_CENTER[1] + ROUTE_FLATTENING * amplitude, 0.0])
         return np.array([_OUT_X, amplitude * (1.0 - 2.0 * mode), _LIFTED, 0.0])
     psi, radius = route_azimuth(initial, mode), initial.route_radius
     y = ROUTE_CENTER[0] + radius * np.cos(psi)

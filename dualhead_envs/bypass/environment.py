@@ -28,7 +28,7 @@ class BypassEnv(gym.Env):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012  (Gymnasium's own convention)
     bypass: ClassVar[BypassTask]
     layout: ClassVar[Layout]
-    task_description: ClassVar[str]
+    task_description: str
 
     def __init__(
         self,
@@ -231,6 +231,11 @@ class BypassEnv(gym.Env):
             raise ValueError(
                 f"options['state']['physics'] has shape {physics.shape}, expected {self.simulation.snapshot_size} "
                 "finite numbers: record it anew with the installed version of MuJoCo"
+            )
+        if (mode := int(state["mode"][0])) >= self.mode_partition.n_modes:
+            raise ValueError(
+                f"options['state'] is on its way by mode {mode}, expected one of the {self.mode_partition.n_modes} of "
+                f"{self.mode_partition.name}: restore it in an environment of as many ways"
             )
         key, memory = self._perturbed.checked(state["perturbation"])
         self._begin(InitialState(*(float(value) for value in state["initial"])), key)

@@ -68,7 +68,18 @@ class BypassConfig(DualheadEnvConfig):
 @EnvConfig.register_subclass("bimodal_bypass")
 @dataclass
 class BimodalBypassConfig(BypassConfig):
-    """BimodalBypass-v2: past a wall, left or right."""
+    """BimodalBypass-v2: past a wall, left or right; with ``env.ways=3`` over it as well."""
+
+    ways: int = 2
+
+    def __post_init__(self) -> None:
+        if self.ways not in (2, 3):
+            raise ValueError(f"env.ways={self.ways} should be 2 (left, right) or 3 (left, right, over the wall)")
+        super().__post_init__()
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        return super().gym_kwargs | {"ways": self.ways}
 
     @property
     def env_id(self) -> str:

@@ -1,6 +1,6 @@
-"""The mode partitions of the two bypass environments: on which side, or by which route, a path goes past.
+"""The mode partitions of the bypass environments: on which side, or by which route, a path goes past.
 
-Both label the path of the grip site, in metres in the world frame, and both have a peak over the path as their
+All label the path of the grip site, in metres in the world frame, and all have a peak over the path as their
 strength: a path is valid where that peak reaches tau. They read nothing but geometry; collisions are the
 environment's to report.
 """
@@ -23,7 +23,7 @@ ROUTE_NUMBERS = 3
 
 
 class BypassPartition(abc.ABC):
-    """Two modes, a threshold, and the rule that a subclass gives in :meth:`score`."""
+    """Modes (two, unless a subclass says otherwise), a threshold, and the rule that it gives in :meth:`score`."""
 
     name: str
     n_modes = 2
@@ -40,7 +40,7 @@ class BypassPartition(abc.ABC):
         """:meth:`score` of a path of one finite point (3,), in a microsecond; a path's score is its best point's."""
 
     def assign(self, path: ArrayLike, condition: ArrayLike, tau: float | None = None) -> np.ndarray:
-        """Labels (...) int64 of ``path`` (..., H, 3) under ``condition`` (..., C): 0 or 1, or -1 if invalid.
+        """Labels (...) int64 of ``path`` (..., H, 3) under ``condition`` (..., C): a mode, or -1 if invalid.
 
         Args:
             path: Positions of the grip site in metres, world frame.
@@ -89,6 +89,53 @@ class BimodalPartition(BypassPartition):
         """Label and strength of one point (3,)."""
         y = float(point[1])
         return (1, -y) if y < 0.0 else (0, y)
+
+
+class ThreeWayPartition(BypassPartition):
+    """v2 with three ways: the largest of three projections on the whitened cross-section; 0 left, 1 right, 2 over.
+
+    The cross-section is v3's, ``w = (y, (z - 0.955) / 0.68)``: it has its origin at the lift pose, where the ways part,
+    and measures all three ways by one length, since the expert's three apexes lie equally far from it. A way's
+    projection is ``y``, ``-y`` or ``(z - 0.955) / 0.68``; the label is the way whose peak over the path is largest, and
+    that peak, in metres, is the strength.
+
+    Why one tau for all, and why 0.11 m. The demonstrated windows peak at 0.165 m in every way, and 0.11 m is two thirds
+    of that: a blend of several ways, which leads into the wall, is invalid unless one of them makes up two thirds of
+    it. It is also where the carried cube (half an edge of 0.021 m) is past the wall's edge (0.09 m) on either side;
+    over the wall it asks for a grip site at z = 1.030 m, with the cube's lower side 29 mm above the wall (0.98 m).
+    Invalid is everything that stays within 0.11 m of the lift pose in all three directions, and whatever goes down.
+    """
+
+    name = "bypass-v2-three-ways"
+    n_modes = 3
+
+    def __init__(self, tau: float = BIMODAL_TAU) -> None:
+        super().__init__(tau)
+
+    def score(self, path: ArrayLike, condition: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Labels (...) and strengths (...) of ``path`` (..., H, 3); leading axes broadcast with the condition's.
+
+        Raises:
+            ValueError: If shapes do not fit or a number is not finite.
+        """
+        points = _positions(path)
+        leading = np.broadcast_shapes(points.shape[:-2], _condition(condition).shape[:-1])
+        lateral = points[..., 1] - ROUTE_CENTER[0]
+        rise = (points[..., 2] - ROUTE_CENTER[1]) / ROUTE_FLATTENING
+        peaks = np.stack([lateral.max(axis=-1), -lateral.min(axis=-1), rise.max(axis=-1)])
+        label, strength = peaks.argmax(axis=0), peaks.max(axis=0)
+        return np.broadcast_to(label, leading).copy(), np.broadcast_to(strength, leading).copy()
+
+    def score_point(self, point: np.ndarray, condition: np.ndarray) -> tuple[int, float]:
+        """Label and strength of one point (3,)."""
+        y = float(point[1]) - ROUTE_CENTER[0]
+        rise = (float(point[2]) - ROUTE_CENTER[1]) / ROUTE_FLATTENING
+        if rise > abs(y):
+            return 2, rise
+        return (1, -y) if y < 0.0 else (0, y)
+
+    def _parameters(self) -> dict[str, Any]:
+        return {"center": list(ROUTE_CENTER), "flattening": ROUTE_FLATTENING}
 
 
 class RotatingPartition(BypassPartition):

@@ -1,4 +1,4 @@
-"""A picture of one pair of demonstrations: both ways past the obstacle, frame by frame."""
+"""A picture of the demonstrations from one initial state: every way past the obstacle, frame by frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from dualhead_envs.atomic_files import write_atomically
-from dualhead_envs.bypass.demonstrations import Demonstration, demonstrate_pair
+from dualhead_envs.bypass.demonstrations import Demonstration, demonstrate_modes
 from dualhead_envs.bypass.environment import BypassEnv
 
 #: Moments of an episode, in steps after the branch, that the contact sheet shows.
@@ -18,15 +18,16 @@ _MOMENTS = (-84, -20, 6, 14, 34, 56, 80)
 _SUFFIXES = (".png", ".gif")
 
 
-def write_preview(env_id: str, path: Path | str, *, seed: int = 0) -> str:
-    """Show both demonstrations from the initial state of ``seed``, as a contact sheet (.png) or a film (.gif).
+def write_preview(env_id: str, path: Path | str, *, seed: int = 0, ways: int | None = None) -> str:
+    """Show every mode's demonstration from the initial state of ``seed``, as a contact sheet (.png) or a film (.gif).
 
-    Where OpenGL is missing, a .png is a plot of both measured paths around the obstacle instead.
+    Where OpenGL is missing, a .png is a plot of the measured paths around the obstacle instead.
 
     Args:
         env_id: ``"BimodalBypass-v2"`` or ``"RotatingBypass-v3"``.
         path: The file to write; its suffix decides.
         seed: Seed of the initial state.
+        ways: v2's ways past the wall, by default the environment's own number.
 
     Returns:
         One sentence that says what the picture shows.
@@ -39,22 +40,23 @@ def write_preview(env_id: str, path: Path | str, *, seed: int = 0) -> str:
     if path.suffix not in _SUFFIXES:
         raise ValueError(f"preview={str(path)!r} should end in .png (contact sheet or plot) or .gif (film)")
     size = (180, 180) if path.suffix == ".gif" else (200, 200)
-    env: Any = gym.make(f"dualhead_envs:{env_id}", control="pose", render_mode="rgb_array", image_size=size)
+    settings: dict[str, Any] = {} if ways is None else {"ways": ways}
+    env: Any = gym.make(f"dualhead_envs:{env_id}", control="pose", render_mode="rgb_array", image_size=size, **settings)
     bypass: BypassEnv = env.unwrapped
-    pair = demonstrate_pair(bypass, seed)
+    shown = demonstrate_modes(bypass, seed)
     try:
         bypass.render()
     except RuntimeError as error:
         if path.suffix == ".gif":
             raise
-        _plot_paths(bypass, pair.demonstrations, path)
-        return f"{path} plots both measured paths; it is not rendered, because {error}"
+        _plot_paths(bypass, shown.demonstrations, path)
+        return f"{path} plots the measured path of every mode; it is not rendered, because {error}"
     if path.suffix == ".gif":
-        _write_film(bypass, pair.demonstrations, path)
+        _write_film(bypass, shown.demonstrations, path)
     else:
-        _write_sheet(bypass, pair.demonstrations, pair.branch_step, path)
+        _write_sheet(bypass, shown.demonstrations, shown.branch_step, path)
     bypass.close()
-    return f"{path} shows both demonstrations from the initial state of seed {seed}"
+    return f"{path} shows every mode's demonstration from the initial state of seed {seed}"
 
 
 def _replayed(env: BypassEnv, demonstration: Demonstration, steps: set[int]) -> list[np.ndarray]:
@@ -78,25 +80,25 @@ def _indexed(picture: np.ndarray) -> Any:
     return Image.fromarray(picture).quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
 
 
-def _write_sheet(env: BypassEnv, pair: tuple[Demonstration, Demonstration], branch_step: int, path: Path) -> None:
+def _write_sheet(env: BypassEnv, modes: tuple[Demonstration, ...], branch_step: int, path: Path) -> None:
     steps = {branch_step + moment for moment in _MOMENTS}
-    rows = [np.concatenate(_replayed(env, demonstration, steps), axis=1) for demonstration in pair]
+    rows = [np.concatenate(_replayed(env, demonstration, steps), axis=1) for demonstration in modes]
     picture = io.BytesIO()
     _indexed(np.concatenate(rows)).save(picture, format="PNG", optimize=True)
     write_atomically(path, picture.getvalue())
 
 
-def _write_film(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
-    steps = set(range(0, len(pair[0].gripper), 4))
-    left, right = (_replayed(env, demonstration, steps) for demonstration in pair)
-    frames = [_indexed(np.concatenate(pictures, axis=1)) for pictures in zip(left, right, strict=False)]
+def _write_film(env: BypassEnv, modes: tuple[Demonstration, ...], path: Path) -> None:
+    steps = set(range(0, len(modes[0].gripper), 4))
+    films = [_replayed(env, demonstration, steps) for demonstration in modes]
+    frames = [_indexed(np.concatenate(pictures, axis=1)) for pictures in zip(*films, strict=False)]
     film = io.BytesIO()
     frames[0].save(film, format="GIF", save_all=True, append_images=frames[1:], duration=200, loop=0, optimize=True)
     write_atomically(path, film.getvalue())
 
 
-def _plot_paths(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path: Path) -> None:
-    """Both paths of the grip site, from above and along x, with the obstacle and the goal."""
+def _plot_paths(env: BypassEnv, modes: tuple[Demonstration, ...], path: Path) -> None:
+    """The paths of the grip site, from above and along x, with the obstacle and the goal."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
@@ -110,7 +112,7 @@ def _plot_paths(env: BypassEnv, pair: tuple[Demonstration, Demonstration], path:
         half = np.array(task.obstacle_half_size)[[i, j]]
         axes.add_patch(Rectangle(tuple(center - half), *(2 * half), color="#335277", label="obstacle"))
         axes.plot(*np.array(task.goal)[[i, j]], "o", color="#339955", label="goal")
-        for mode, (demonstration, color) in enumerate(zip(pair, ("#d1495b", "#edae49"), strict=True)):
+        for mode, (demonstration, color) in enumerate(zip(modes, ("#d1495b", "#edae49", "#66a182"), strict=False)):
             axes.plot(*demonstration.positions()[:, [i, j]].T, color=color, label=f"grip site, mode {mode}")
         axes.set_xlabel(f"{'xyz'[i]} (m)")
         axes.set_ylabel(f"{'xyz'[j]} (m)")

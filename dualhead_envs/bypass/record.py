@@ -1,4 +1,6 @@
-"""Recording pairs of demonstrations as LeRobotDatasets, in parallel, resumable, whole or not at all.
+"""Recording sets of demonstrations as LeRobotDatasets, in parallel, resumable, whole or not at all.
+
+A set, or pair where there are two modes, is one demonstration a mode from one initial state.
 
 Finished attempts are staged one by one in ``.<name>.recording`` beside the target; when there are enough, the three
 splits and the card are assembled there and the whole folder is renamed. The result depends on the arguments alone,
@@ -29,6 +31,8 @@ from dualhead_envs.worker_processes import end_with, interrupts_kept_from_worker
 
 #: Pairs in the paper's data sets (sec:envs): 350/75/75 and 168/36/36.
 DEFAULT_PAIRS = {"BimodalBypass-v2": 500, "RotatingBypass-v3": 240}
+#: Arguments of the environment that decide which modes there are to demonstrate.
+MODE_KWARGS = ("ways",)
 #: Share of the pairs in each of val and test.
 HELD_OUT = 0.15
 HORIZON = 16
@@ -58,14 +62,15 @@ def record_bypass(
     workers: int | None = None,
     progress: bool = True,
 ) -> Path:
-    """Record ``pairs`` initial states, both modes each, as ``root/{train,val,test}`` and ``root/card.json``.
+    """Record ``pairs`` initial states, every mode each, as ``root/{train,val,test}`` and ``root/card.json``.
 
     Args:
         env_id: ``"BimodalBypass-v2"`` or ``"RotatingBypass-v3"``.
         root: Folder of the data set; must not hold anything.
         pairs: Number of initial states (500 or 240 by default, as in the paper).
         seed: Seed of the initial states and amplitudes.
-        env_kwargs: Arguments under which evaluation shall rebuild the environment (``tau``, ``control``, ...).
+        env_kwargs: Arguments under which evaluation shall rebuild the environment (``tau``, ``control``, ...);
+            ``ways`` says which modes are demonstrated.
         workers: Processes, as many as there are cores by default.
         progress: Whether to show a progress bar on standard error.
 
@@ -98,13 +103,21 @@ def record_bypass(
         "versions": {name: version(name) for name in ("mujoco", "robosuite")},
     }  # fmt: skip
     with staging_for(root, configuration) as store:
-        _simulate(store, env_id, pairs, seed, workers, progress)
+        _simulate(store, env_id, _mode_kwargs(env_kwargs), pairs, seed, workers, progress)
         _assemble(store, root, env, sizes, env_kwargs, seed)
         store.discard()
     return root
 
 
-def _simulate(store: ShardStore, env_id: str, pairs: int, seed: int, workers: int | None, progress: bool) -> None:
+def _simulate(
+    store: ShardStore,
+    env_id: str,
+    mode_kwargs: tuple[tuple[str, Any], ...],
+    pairs: int,
+    seed: int,
+    workers: int | None,
+    progress: bool,
+) -> None:
     """Attempt initial states, in order, until ``pairs`` of them are accepted; one shard an attempt."""
     from joblib import Parallel, delayed
     from tqdm import tqdm
@@ -121,7 +134,7 @@ def _simulate(store: ShardStore, env_id: str, pairs: int, seed: int, workers: in
         while accepted < pairs:
             batch = islice(attempts, pairs - accepted)
             with interrupts_kept_from_workers():
-                results = pool(delayed(_attempt)(env_id, seed, attempt) for attempt in batch)
+                results = pool(delayed(_attempt)(env_id, mode_kwargs, seed, attempt) for attempt in batch)
             for attempt, episodes in results:
                 store.write(_shard(attempt), episodes)
                 accepted += bool(episodes)
@@ -150,7 +163,8 @@ def _assemble(
     for split in sizes:
         info = {
             "env_id": env.bypass.env_id, "env_kwargs": env_kwargs, "split": split, "seed": seed,
-            "conditions_seed": seed, "horizon": HORIZON, "mode_probabilities": [0.5, 0.5],
+            "conditions_seed": seed, "horizon": HORIZON,
+            "mode_probabilities": [1 / env.mode_partition.n_modes] * env.mode_partition.n_modes,
             "partition": env.mode_partition.to_dict(), "rejections": rejections,
         }  # fmt: skip
         assemble(splits[split], folder / split, env.layout, info, task=env.task_description)
@@ -159,28 +173,29 @@ def _assemble(
     publish(folder, root)
 
 
-def _first_pairs(store: ShardStore, number: int) -> tuple[list[tuple[Episode, Episode]], int]:
+def _first_pairs(store: ShardStore, number: int) -> tuple[list[tuple[Episode, ...]], int]:
     """The first ``number`` accepted pairs in the order of their attempts, numbered anew, and the rejections."""
-    pairs: list[tuple[Episode, Episode]] = []
+    pairs: list[tuple[Episode, ...]] = []
     rejections = 0
     for name in store.names():
         episodes = store.read(name)
         if not episodes:
             rejections += 1
             continue
-        first, second = (replace(episode, pair=len(pairs)) for episode in episodes)
-        pairs.append((first, second))
+        pairs.append(tuple(replace(episode, pair=len(pairs)) for episode in episodes))
         if len(pairs) == number:
             break
     return pairs, rejections
 
 
-def _attempt(env_id: str, seed: int, attempt: int) -> tuple[int, list[Episode]]:
-    """The two episodes of one initial state, or none if a mode failed."""
-    from dualhead_envs.bypass.demonstrations import demonstrate_pair
+def _attempt(
+    env_id: str, mode_kwargs: tuple[tuple[str, Any], ...], seed: int, attempt: int
+) -> tuple[int, list[Episode]]:
+    """The episodes of one initial state, one a mode, or none if a mode failed."""
+    from dualhead_envs.bypass.demonstrations import demonstrate_modes
 
-    env = _expert_env(env_id)
-    pair = demonstrate_pair(env, int(np.random.SeedSequence(seed, spawn_key=(attempt,)).generate_state(1)[0]))
+    env = _expert_env(env_id, mode_kwargs)
+    pair = demonstrate_modes(env, int(np.random.SeedSequence(seed, spawn_key=(attempt,)).generate_state(1)[0]))
     if not pair.success:
         return attempt, []
     initial = env.initial_state
@@ -206,9 +221,13 @@ def _attempt(env_id: str, seed: int, attempt: int) -> tuple[int, list[Episode]]:
 
 
 @cache
-def _expert_env(env_id: str) -> Any:
+def _expert_env(env_id: str, mode_kwargs: tuple[tuple[str, Any], ...]) -> Any:
     """The environment that the expert acts in; made once in every process."""
-    return gym.make(f"dualhead_envs:{env_id}", control="pose").unwrapped
+    return gym.make(f"dualhead_envs:{env_id}", control="pose", **dict(mode_kwargs)).unwrapped
+
+
+def _mode_kwargs(env_kwargs: Mapping[str, Any]) -> tuple[tuple[str, Any], ...]:
+    return tuple((name, env_kwargs[name]) for name in MODE_KWARGS if name in env_kwargs)
 
 
 def _shard(attempt: int) -> str:

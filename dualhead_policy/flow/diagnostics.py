@@ -41,11 +41,11 @@ def teacher_forced_residuals(
         ``position_mm``, the mean distance between FK of the joint head's and the position head's endpoints; with a
         rotation head ``rotation_deg``, the mean angle between the joint head's and its own.
     """
-    generator = keyed_generator(*step_key(seed, step, "residual", rank), device=action.device)
+    generator = keyed_generator(*step_key(seed, step, "residual", rank))
     chunks = noisy_chunks(model, observation, action, *draw_path_points(model, action, generator))
     embedding, latent = model.embed(observation), None
     if model.shared_latent is not None:
-        latent = model.shared_latent.draw((len(action),), generator).to(action.dtype)
+        latent = model.shared_latent.draw((len(action),), generator).to(action)
         if model.shared_latent.posterior is not None:
             # Teacher-forced in the latent too: the prior's draw would name another window than the data's.
             mean, deviation = infer_latent(model, action, embedding)
@@ -81,12 +81,12 @@ def latent_sensitivity(
         seed, step, rank: Seed, training step and process of the run, of which the draws are a function.
     """
     assert model.shared_latent is not None
-    generator = keyed_generator(*step_key(seed, step, "sensitivity", rank), device=action.device)
+    generator = keyed_generator(*step_key(seed, step, "sensitivity", rank))
     chunks = noisy_chunks(model, observation, action, *draw_path_points(model, action, generator))
     embedding = model.embed(observation)
     contexts = []
     for _ in range(2):
-        latent = model.shared_latent.draw((len(action),), generator).to(action.dtype)
+        latent = model.shared_latent.draw((len(action),), generator).to(action)
         contexts.append(model.context(embedding, latent=latent))
     change = {}
     for head in model.head_slices:

@@ -2,7 +2,8 @@
 
 They are a function of (seed, step, purpose): time, source noise and token corruption come from one keyed generator,
 latents and observation noise from their own, so that a mechanism leaves the draws of the others as they are, and runs
-that train side by side draw what each would have drawn alone.
+that train side by side draw what each would have drawn alone. They are made on the CPU and moved to where they are
+needed: a run draws the same on every device.
 """
 
 from __future__ import annotations
@@ -12,40 +13,42 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dualhead_policy.flow.draw_rule import DrawRule, StepDraws
 from dualhead_policy.flow.flow_matching import coupled_source_noise, interpolate
-from dualhead_policy.flow.keyed_random import keyed_generator, step_key
 from dualhead_policy.model.dualhead_model import DualheadModel
-from dualhead_policy.model.tokens import TokenCorruption
-
-
-@dataclass(frozen=True)
-class StepDraws:
-    """Everything random in the loss of B windows.
-
-    Attributes:
-        time: t (B,) in [0, 1), the same for all heads.
-        source: Source noise x_0 by head (B, H, d), standard normal.
-        observation_noise: Standard normal (B, C), or None.
-        corruption: Draws that corrupt tokens, or None.
-        latent: Standard normal (B, dim), or None.
-    """
-
-    time: Tensor
-    source: dict[str, Tensor]
-    observation_noise: Tensor | None = None
-    corruption: TokenCorruption | None = None
-    latent: Tensor | None = None
 
 
 def draw_path_points(
     model: DualheadModel, like: Tensor, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Times (B,) and source noise by head (B, H, d) for actions ``like`` (B, H, D)."""
+    """Times (B,) and source noise by head (B, H, d) for actions ``like`` (B, H, D), drawn on the CPU."""
     config = model.config
-    time = torch.rand(len(like), generator=generator, device=like.device).to(like.dtype)
+    time = torch.rand(len(like), generator=generator).to(like)
     shape = (len(like), config.chunk_size)
     noise = coupled_source_noise(shape, model.head_dims, config.source_noise_beta, generator)
-    return time, {head: value.to(like.dtype) for head, value in noise.items()}
+    return time, {head: value.to(like) for head, value in noise.items()}
+
+
+def draw_rule(model: DualheadModel, observation_dim: int, *, seed: int, has_tokens: bool) -> DrawRule:
+    """What the steps of a model's training draw, or of its validation where it is in evaluation mode.
+
+    Args:
+        model: The model; its configuration says what is drawn.
+        observation_dim: Size C of the observation.
+        seed: Seed of the run.
+        has_tokens: Whether the windows come with tokens.
+    """
+    config, tokens = model.config, model.tokens
+    corrupted = has_tokens and tokens is not None and (config.token_replacement_prob or config.token_null_prob)
+    return DrawRule(
+        seed,
+        config.chunk_size,
+        dict(model.head_dims),
+        config.source_noise_beta,
+        observation_dim if config.observation_noise and model.training else 0,
+        tokens.n_tokens if tokens is not None and corrupted else 0,
+        None if model.shared_latent is None else model.shared_latent.dim,
+    )
 
 
 def draw_step(
@@ -68,21 +71,19 @@ def draw_step(
         step: Training step.
         rank: Process of a distributed training; each draws its own.
         has_tokens: Whether the windows come with tokens.
+
+    Returns:
+        The draws, of the windows' type and on their device.
     """
-    config, device = model.config, action.device
-    key = step_key(seed, step, "train" if model.training else "validate", rank)
-    generator = keyed_generator(*key, device=device)
-    time, source = draw_path_points(model, action, generator)
-    noise = corruption = latent = None
-    if config.observation_noise and model.training:
-        own = keyed_generator(*key, "observation", device=device)
-        noise = torch.randn(observation.shape, generator=own, device=device).to(observation.dtype)
-    if has_tokens and model.tokens is not None and (config.token_replacement_prob or config.token_null_prob):
-        corruption = model.tokens.draw_corruption((len(action),), generator)
-    if model.shared_latent is not None:
-        own = keyed_generator(*key, "latent", device=device)
-        latent = model.shared_latent.draw((len(action),), own).to(action.dtype)
-    return StepDraws(time, source, noise, corruption, latent)
+    rule = draw_rule(model, observation.shape[1], seed=seed, has_tokens=has_tokens)
+    draws = rule.draw(len(action), step, "train" if model.training else "validate", rank)
+    return StepDraws(
+        draws.time.to(action),
+        {head: value.to(action) for head, value in draws.source.items()},
+        None if draws.observation_noise is None else draws.observation_noise.to(observation),
+        None if draws.corruption is None else draws.corruption.to(action.device),
+        None if draws.latent is None else draws.latent.to(action),
+    )
 
 
 @dataclass(frozen=True)

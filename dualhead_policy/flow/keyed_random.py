@@ -16,13 +16,12 @@ def step_key(seed: int, step: int, purpose: str, rank: int = 0) -> tuple[int | s
     return (seed, step, purpose) if rank == 0 else (seed, step, purpose, "rank", rank)
 
 
-def keyed_generator(*key: int | str, device: torch.device | str = "cpu") -> torch.Generator:
-    """A generator whose state depends on ``key`` alone.
+def keyed_generator(*key: int | str) -> torch.Generator:
+    """A generator on the CPU whose state depends on ``key`` alone.
 
     Args:
         key: What identifies the draw, for example ``(seed, step, "train")``.
-        device: Device of the generator.
     """
     digest = hashlib.blake2b(repr(key).encode(), digest_size=8).digest()
     # manual_seed takes a signed 64-bit integer.
-    return torch.Generator(device=device).manual_seed(int.from_bytes(digest, "big") >> 1)
+    return torch.Generator().manual_seed(int.from_bytes(digest, "big") >> 1)

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.flow.consistency import position_consistency, rotation_consistency
-from dualhead_policy.flow.draws import StepDraws, noisy_chunks
+from dualhead_policy.flow.draw_rule import StepDraws
+from dualhead_policy.flow.draws import noisy_chunks
 from dualhead_policy.model.dualhead_model import HEADS, DualheadModel
 from dualhead_policy.model.latent import divergence_from_standard_normal, free_bits_penalty
 
@@ -96,7 +97,8 @@ def training_loss(
 
 def flow_loss(parts: Mapping[str, Tensor]) -> Tensor:
     """The heads' flow-matching losses alone, summed: what settles when a velocity field has been learnt."""
-    return sum((parts[head] for head in HEADS if head in parts), torch.zeros(()))
+    first, *others = (parts[head] for head in HEADS if head in parts)
+    return sum(others, first)
 
 
 def infer_latent(model: DualheadModel, action: Tensor, embedding: Tensor) -> tuple[Tensor, Tensor]:

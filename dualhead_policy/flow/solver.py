@@ -186,7 +186,19 @@ def condition_velocity(
 
     Returns:
         A function of states (N, H, d) and a time in [0, 1) to velocities (N, H, d).
+
+    Raises:
+        ValueError: If the model has no such head, or needs a token or latent that is not given.
     """
+    if head not in model.head_dims:
+        raise ValueError(f"the policy has no head {head!r}: choose one of {list(model.head_dims)}")
+    for name, part, given in (
+        ("token", model.tokens, shared.token),
+        ("latent", model.shared_latent, shared.latent),
+    ):
+        if (part is None) != (given is None):
+            needs = f"needs a {name} for every row: pass {name}=..." if part is not None else f"has no {name}"
+            raise ValueError(f"the policy {needs}")
     context = model.context(model.embed(observation), shared.token, shared.latent)
     frame = model.frame(head) if model.frames else None
 

@@ -125,6 +125,15 @@ class DualheadModel(nn.Module):
             return self.token_prior.draw(embedding, num_samples, generator)
         return self.tokens.draw((len(embedding), num_samples), self.config.token_draw, generator)
 
+    def token_probabilities(self, embedding: Tensor) -> Tensor:
+        """With which probabilities :meth:`draw_tokens` draws each token (B, n_tokens)."""
+        assert self.tokens is not None
+        if self.token_prior is not None:
+            return self.token_prior.probabilities(embedding)
+        uniform = self.config.token_draw == "uniform"
+        one = torch.full_like(self.tokens.marginal, 1 / self.tokens.n_tokens) if uniform else self.tokens.marginal
+        return one.expand(len(embedding), -1)
+
     # --- velocity and clean endpoint -------------------------------------------------------------------------
 
     def frame(self, head: str) -> ChunkFrame:

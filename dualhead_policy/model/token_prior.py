@@ -25,8 +25,12 @@ class TokenPrior(nn.Module):
         """Cross-entropy in nats of clean tokens (B,) given embeddings (B, ...)."""
         return functional.cross_entropy(self.layers(embedding.detach()), token)
 
+    def probabilities(self, embedding: Tensor) -> Tensor:
+        """p(k | c) (B, n_tokens) given embeddings (B, ...)."""
+        return self.layers(embedding).softmax(dim=-1)
+
     def draw(self, embedding: Tensor, num_samples: int, generator: torch.Generator | None) -> Tensor:
         """Tokens (B, num_samples) given embeddings (B, ...), on the generator's device."""
         device = generator.device if generator is not None else torch.device("cpu")
-        weights = self.layers(embedding).softmax(dim=-1).to(device)
+        weights = self.probabilities(embedding).to(device)
         return torch.multinomial(weights, num_samples, replacement=True, generator=generator)

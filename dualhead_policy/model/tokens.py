@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from sklearn.cluster import KMeans
 from torch import Tensor, nn
 from torch.nn import functional
+
+from dualhead_policy.model.token_corruption import TokenCorruption
 
 #: Rows used to fit k-means; more change the centroids by less than their own spread.
 MAX_CLUSTERED_ROWS = 50_000
@@ -16,14 +16,6 @@ MAX_CLUSTERED_ROWS = 50_000
 K_MEANS_STARTS = 10
 #: Metres; an axis along which nothing moves is not blown up.
 SMALLEST_SCALE = 1e-4
-
-
-@dataclass(frozen=True)
-class TokenCorruption:
-    """Draws that decide which tokens are corrupted: a uniform ``chance`` and a random ``replacement``, each (B,)."""
-
-    chance: Tensor
-    replacement: Tensor
 
 
 class TokenTable(nn.Module):
@@ -112,12 +104,6 @@ class TokenTable(nn.Module):
         count = int(np.prod(shape))
         return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(shape)
 
-    def draw_corruption(self, shape: tuple[int, ...], generator: torch.Generator | None) -> TokenCorruption:
-        """The draws of :meth:`corrupt` for tokens of ``shape``."""
-        device = generator.device if generator is not None else torch.device("cpu")
-        chance = torch.rand(shape, generator=generator, device=device)
-        return TokenCorruption(chance, self.draw(shape, "uniform", generator))
-
     def corrupt(
         self,
         token: Tensor,
@@ -131,9 +117,8 @@ class TokenTable(nn.Module):
         With ``replacement_prob`` a token becomes a uniformly random token (the paper's token dropout); with
         ``null_prob`` it becomes the null token, numbered ``n_tokens``.
         """
-        chance = corruption.chance.to(token.device)
-        token = torch.where(chance < replacement_prob, corruption.replacement.to(token.device), token)
-        return torch.where(chance >= 1 - null_prob, self.n_tokens, token)
+        token = torch.where(corruption.chance < replacement_prob, corruption.replacement, token)
+        return torch.where(corruption.chance >= 1 - null_prob, self.n_tokens, token)
 
     def one_hot(self, token: Tensor) -> Tensor:
         """One-hot code (..., n_tokens); the null token is all zeros."""

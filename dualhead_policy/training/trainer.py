@@ -22,6 +22,7 @@ from dualhead_policy.modeling_dualhead import MEASURE_EVERY, DualheadPolicy
 from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
 from dualhead_policy.processor_loading import load_processors
 from dualhead_policy.training.array_store import ArrayStore
+from dualhead_policy.training.batch import Batch
 from dualhead_policy.training.checkpoints import (
     WindowOrigin,
     checkpoint_folder,
@@ -32,9 +33,10 @@ from dualhead_policy.training.checkpoints import (
     write_checkpoint,
 )
 from dualhead_policy.training.dataset_metadata import open_metadata
+from dualhead_policy.training.fresh_ring_paths import FreshRingPaths
+from dualhead_policy.training.recorded_windows import RecordedWindows
 from dualhead_policy.training.run_folder import clear_false_start
 from dualhead_policy.training.training_log import LOG_FILE, TrainingLog
-from dualhead_policy.training.window_sources import Batch, FreshRingPaths, RecordedWindows, WindowSource
 
 Progress = Callable[[int, float], None]
 
@@ -83,7 +85,7 @@ class Training:
             self._resume(cfg.checkpoint_path)
             fresh_paths = self._resumed_source(cfg.checkpoint_path, frames, fresh_paths)
         self.origin = WindowOrigin(frames.fingerprint, fresh_paths)
-        self.source: WindowSource
+        self.source: RecordedWindows | FreshRingPaths
         if fresh_paths:
             self.source = self._fresh_paths(frames.sidecar, seed)
         else:
@@ -146,12 +148,21 @@ class Training:
         self.advance()
         return loss.item(), flow_loss(parts).item()
 
-    def advance(self) -> None:
-        """Count an optimiser step that has been made."""
+    def advance(self, steps: int = 1) -> None:
+        """Count optimiser steps that have been made."""
         if self.scheduler is not None:
+            # LeRobot's schedules are functions of the step alone: the last of these steps sets the rate.
+            self.scheduler.last_epoch += steps - 1
+            self.scheduler._step_count += steps - 1
             self.scheduler.step()
-        self.policy.update()
-        self.step += 1
+        self.policy.training_step += steps
+        self.step += steps
+
+    def rate(self, step: int) -> float:
+        """Learning rate of training step ``step``."""
+        if self.scheduler is None:
+            return self.optimizer.param_groups[0]["lr"]
+        return self.scheduler.base_lrs[0] * self.scheduler.lr_lambdas[0](step)
 
     @property
     def grad_clip_norm(self) -> float:

@@ -56,9 +56,18 @@ def test_a_file_trains(panda_data, tmp_path):
 
 
 def test_the_tables_rows_are_all_there():
-    rows = {identity(path).split("_")[0] for path in FILES}
+    rows = {f"{path.parent.name}/{path.stem.split('_')[0]}" for path in FILES}
     assert {f"v2/{letter}" for letter in "ABCDEFGHIJK"} <= rows
     assert {f"v3/{letter}" for letter in "ABDGHK"} <= rows
+    assert {f"v2_three_ways/{letter}" for letter in "ABGHK"} <= rows
+
+
+@pytest.mark.parametrize("path", sorted((FOLDER / "v2_three_ways").glob("*.yaml")), ids=identity)
+def test_three_ways_differ_from_two_in_the_number_of_tokens_alone(path):
+    three, two = (yaml.safe_load((FOLDER / folder / path.name).read_text()) for folder in ("v2_three_ways", "v2"))
+    assert three["policy"].pop("n_tokens", 3) == 3
+    assert two["policy"].pop("n_tokens", 2) == 2
+    assert three == two
 
 
 def test_flags_and_presets_override_a_file(panda_data, tmp_path):

@@ -54,17 +54,35 @@ class StackedAdam:
         """One step down the stacked gradients (N, ...), which may be clipped in place."""
         # The fused kernel walks through memory and does not look at strides.
         gradients = [gradient.contiguous() for gradient in gradients]
-        self._clip(gradients)
-        rates = [optimizer.param_groups[0]["lr"] for optimizer in self._optimizers]
+        share = self._share(gradients)
+        if bool((share < 1).any()):
+            _scale(gradients, share)
+        rates: list[float | Tensor] = [optimizer.param_groups[0]["lr"] for optimizer in self._optimizers]
+        self._adam(gradients, rates, together=len(set(rates)) == 1)
+
+    @torch.no_grad()
+    def device_step(self, gradients: Sequence[Tensor], rates: Tensor, *, together: bool) -> None:
+        """The same step with learning rates (N,) on the device, where nothing waits for the host.
+
+        Args:
+            gradients: As for :meth:`step`.
+            rates: Learning rates.
+            together: Whether they are all one, at every step.
+        """
+        gradients = [gradient.contiguous() for gradient in gradients]
+        _scale(gradients, self._share(gradients))
+        self._adam(gradients, list(rates.unbind()), together=together)
+
+    def _adam(self, gradients: Sequence[Tensor], rates: Sequence[float | Tensor], *, together: bool) -> None:
         stacks: list[Sequence[Tensor]] = [self._parameters, gradients, self._first, self._second]
         self._count += 1
-        if len(set(rates)) == 1:
-            self._adam(stacks, rates[0])
+        if together:
+            self._fused(stacks, rates[0])
         else:
             for run, rate in enumerate(rates):
-                self._adam([[tensor[run] for tensor in stack] for stack in stacks], rate)
+                self._fused([[tensor[run] for tensor in stack] for stack in stacks], rate)
 
-    def _adam(self, stacks: Sequence[Sequence[Tensor]], rate: float) -> None:
+    def _fused(self, stacks: Sequence[Sequence[Tensor]], rate: float | Tensor) -> None:
         parameters, gradients, first, second = (list(stack) for stack in stacks)
         options = self._optimizers[0].param_groups[0]
         torch._fused_adam_(
@@ -83,15 +101,18 @@ class StackedAdam:
             maximize=False,
         )
 
-    def _clip(self, gradients: Sequence[Tensor]) -> None:
+    def _share(self, gradients: Sequence[Tensor]) -> Tensor:
+        """What clipping leaves of every run's gradient (N,)."""
         norms = torch.stack([torch.linalg.vector_norm(gradient.flatten(1), dim=1) for gradient in gradients])
-        share = (self._max_norms / (torch.linalg.vector_norm(norms, dim=0) + NORM_FLOOR)).clamp(max=1)
-        if bool((share < 1).any()):
-            for gradient in gradients:
-                gradient.mul_(share.reshape(-1, *[1] * (gradient.ndim - 1)))
+        return (self._max_norms / (torch.linalg.vector_norm(norms, dim=0) + NORM_FLOOR)).clamp(max=1)
 
     def write_counts(self) -> None:
         """Tell every optimiser how many steps it has made, before its state is saved."""
         for run in range(len(self._optimizers)):
             for index in range(len(self._parameters)):
                 self._state(run, index)["step"] = self._count.clone()
+
+
+def _scale(gradients: Sequence[Tensor], share: Tensor) -> None:
+    for gradient in gradients:
+        gradient.mul_(share.reshape(-1, *[1] * (gradient.ndim - 1)))

@@ -11,13 +11,11 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
-from dualhead_policy.flow.draws import StepDraws
 from dualhead_policy.flow.loss import LossWeights, flow_loss, training_loss
 from dualhead_policy.model.dualhead_model import DualheadModel
-from dualhead_policy.model.tokens import TokenCorruption
 from dualhead_policy.model.velocity_field import VelocityField
 from dualhead_policy.training.stacked.field_kernel import StackableField
-from dualhead_policy.training.window_sources import Batch
+from dualhead_policy.training.stacked.step_inputs import step_draws
 
 
 class StackedModel:
@@ -66,31 +64,18 @@ class StackedModel:
             for name, parameter in named.items():
                 parameter.data = self.parameters[name].data[run]
 
-    def losses(self, batches: Sequence[Batch], draws: Sequence[StepDraws]) -> tuple[Tensor, Tensor]:
+    def losses(self, inputs: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Training losses (N,), and the flow-matching losses' share of them (N,).
 
         Args:
-            batches: The batch of every run, all of one size.
-            draws: The draws of every run's step.
+            inputs: Windows and draws of every run's step, each (N, B, ...); see :mod:`.step_inputs`.
         """
-        inputs = {
-            "observation": torch.stack([batch.observation for batch in batches]),
-            "action": torch.stack([batch.action for batch in batches]),
-            "token": _stack([batch.token for batch in batches]),
-            "time": torch.stack([draw.time for draw in draws]),
-            "source": {head: torch.stack([draw.source[head] for draw in draws]) for head in draws[0].source},
-            "observation_noise": _stack([draw.observation_noise for draw in draws]),
-            "latent": _stack([draw.latent for draw in draws]),
-            "chance": _stack([draw.corruption.chance if draw.corruption else None for draw in draws]),
-            "replacement": _stack([draw.corruption.replacement if draw.corruption else None for draw in draws]),
-        }
-        given = {name: value for name, value in inputs.items() if value is not None}
 
         def one(parameters: Mapping[str, Tensor], buffers: Mapping[str, Tensor], weights: Mapping[str, Tensor], own):
             state = {f"model.{name}": value for name, value in (*parameters.items(), *buffers.items())}
-            return functional_call(self._loss, state, (LossWeights(**weights),), own)
+            return functional_call(self._loss, state, (LossWeights(**weights), own))
 
-        return vmap(one)(self.parameters, self._buffers, self._weights, given)
+        return vmap(one)(self.parameters, self._buffers, self._weights, dict(inputs))
 
 
 class _ModelLoss(nn.Module):
@@ -103,26 +88,7 @@ class _ModelLoss(nn.Module):
             assert isinstance(field, VelocityField)
             self.model.network.fields[head] = StackableField(field, compute_dtype)
 
-    def forward(
-        self,
-        weights: LossWeights,
-        *,
-        observation: Tensor,
-        action: Tensor,
-        time: Tensor,
-        source: Mapping[str, Tensor],
-        token: Tensor | None = None,
-        observation_noise: Tensor | None = None,
-        latent: Tensor | None = None,
-        chance: Tensor | None = None,
-        replacement: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        corruption = None if chance is None or replacement is None else TokenCorruption(chance, replacement)
-        draws = StepDraws(time, dict(source), observation_noise, corruption, latent)
-        loss, parts = training_loss(self.model, observation, action, token, draws, weights)
+    def forward(self, weights: LossWeights, inputs: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        observation, action, token = inputs["observation"], inputs["action"], inputs.get("token")
+        loss, parts = training_loss(self.model, observation, action, token, step_draws(inputs), weights)
         return loss, flow_loss(parts)
-
-
-def _stack(tensors: Sequence[Tensor | None]) -> Tensor | None:
-    given = [tensor for tensor in tensors if tensor is not None]
-    return torch.stack(given) if given else None

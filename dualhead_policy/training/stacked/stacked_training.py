@@ -8,8 +8,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from dualhead_policy.training.stacked.graphed_steps import GraphedSteps
 from dualhead_policy.training.stacked.stacked_adam import StackedAdam
 from dualhead_policy.training.stacked.stacked_model import StackedModel
+from dualhead_policy.training.stacked.step_inputs import batch_inputs, draw_inputs, stacked
 from dualhead_policy.training.trainer import Training
 
 
@@ -41,6 +43,8 @@ class StackedTraining:
             [training.grad_clip_norm for training in trainings],
         )
 
+        self._graphed: GraphedSteps | None = None
+
     @property
     def step(self) -> int:
         """Steps made so far."""
@@ -48,17 +52,39 @@ class StackedTraining:
 
     def update(self) -> Tensor:
         """One optimiser step of every run; returns losses and the flow-matching losses' share of them (2, N)."""
-        batches = [training.source.batch(self.step) for training in self.trainings]
-        draws = [
-            training.policy.draw_step(batch.observation, batch.action, has_tokens=batch.token is not None)
-            for training, batch in zip(self.trainings, batches, strict=True)
-        ]
-        loss, flow = self._model.losses(batches, draws)
+        inputs = []
+        for training in self.trainings:
+            batch = training.source.batch(self.step)
+            draws = training.policy.draw_step(batch.observation, batch.action, has_tokens=batch.token is not None)
+            inputs.append(batch_inputs(batch) | draw_inputs(draws))
+        loss, flow = self._model.losses(stacked(inputs))
         gradients = torch.autograd.grad(loss.sum(), self._parameters, materialize_grads=True)
         self._optimizer.step(gradients)
         for training in self.trainings:
             training.advance()
         return torch.stack([loss.detach(), flow.detach()])
+
+    def updates(self, count: int) -> Tensor:
+        """``count`` optimiser steps of every run: what :meth:`update` makes, on CUDA from a recorded graph.
+
+        Returns:
+            Losses and the flow-matching losses' share of them (count, 2, N).
+        """
+        if self._parameters[0].device.type != "cuda":
+            return torch.stack([self.update() for _ in range(count)])
+        if self._graphed is None:
+            self._graphed = GraphedSteps(self.trainings, self._model, self._optimizer)
+        losses = self._graphed.run(count)
+        for training in self.trainings:
+            training.advance(count)
+        return losses
+
+    def close(self) -> None:
+        """Leave the runs as they are, ready to go on in another stack or alone."""
+        self._optimizer.write_counts()
+        if self._graphed is not None:
+            self._graphed.close()
+            self._graphed = None
 
     def stage(self) -> list[Path]:
         """Assemble a checkpoint of every run at the current step; returns their places once they are published."""

@@ -173,56 +173,59 @@ def _train_together(group: Group, trainings: dict[str, Any]) -> dict[str, str]:
     """Train runs as one program; returns the sentence of every run that failed, by name."""
     import torch
 
-    from dualhead_policy.modeling_dualhead import MEASURE_EVERY
     from dualhead_policy.training.stacked.stacked_training import StackedTraining
-    from dualhead_policy.training.sweep.group_commit import save_group
 
     dtype = {"fp32": torch.float32, "bf16": torch.bfloat16}[group.precision]
     logs = {name: training.begin() for name, training in trainings.items()}
     failed: dict[str, str] = {}
     running = dict(trainings)
     report = _reporter(group)
-    steps = next(iter(trainings.values())).cfg.steps
     while running:
         stack = StackedTraining(list(running.values()), compute_dtype=dtype)
-        losses: list[torch.Tensor] = []
-        while stack.step < steps:
-            if stack.step % MEASURE_EVERY == 0:
-                for name, training in running.items():
-                    batch = training.source.batch(stack.step)
-                    logs[name].measure(training.policy.measure(batch.observation, batch.action, batch.token))
-            losses.append(stack.update())
-            saves = stack.trainings[0].saves_now()
-            if not saves and stack.step % LOOK_EVERY and stack.step < steps:
-                continue
-            wrong = _log(logs, list(running), losses, stack.step)
-            losses = []
-            if wrong:
-                for name, step in wrong.items():
-                    rate = running.pop(name).policy.config.optimizer_lr
-                    failed[name] = (
-                        f"the loss is not a number at step {step}: lower policy.optimizer_lr (now {rate}) and start "
-                        "again"
-                    )
-                break
-            report(stack.step, steps, list(running), logs)
-            if saves:
-                for name in running:
-                    logs[name].flush(stack.step)
-                save_group(stack, group.output, group.commit_file)
-                report(stack.step, steps, list(running), logs, saved=stack.step)
-        else:
+        with contextlib.closing(stack):
+            wrong = _train_on(stack, running, logs, group, report)
+        if not wrong:
             break
+        for name, step in wrong.items():
+            rate = running.pop(name).policy.config.optimizer_lr
+            failed[name] = (
+                f"the loss is not a number at step {step}: lower policy.optimizer_lr (now {rate}) and start again"
+            )
     return failed
 
 
-def _log(logs: dict[str, Any], names: Sequence[str], losses: Sequence[Any], step: int) -> dict[str, int]:
-    """Write the losses of the last steps into the runs' logs; returns the runs whose loss is not a number, and when."""
-    import torch
+def _train_on(
+    stack: Any, running: dict[str, Any], logs: dict[str, Any], group: Group, report: Callable[..., None]
+) -> dict[str, int]:
+    """Train a stack to its end, or until losses are no numbers; returns the runs whose are not, and when."""
+    from dualhead_policy.modeling_dualhead import MEASURE_EVERY
+    from dualhead_policy.training.sweep.group_commit import save_group
 
+    cfg = stack.trainings[0].cfg
+    while stack.step < cfg.steps:
+        if stack.step % MEASURE_EVERY == 0:
+            for name, training in running.items():
+                batch = training.source.batch(stack.step)
+                logs[name].measure(training.policy.measure(batch.observation, batch.action, batch.token))
+        stops = [every - stack.step % every for every in (MEASURE_EVERY, LOOK_EVERY, cfg.save_freq)]
+        losses = stack.updates(min(*stops, cfg.steps - stack.step))
+        wrong = _log(logs, list(running), losses, stack.step)
+        if wrong:
+            return wrong
+        report(stack.step, cfg.steps, list(running), logs)
+        if stack.trainings[0].saves_now():
+            for name in running:
+                logs[name].flush(stack.step)
+            save_group(stack, group.output, group.commit_file)
+            report(stack.step, cfg.steps, list(running), logs, saved=stack.step)
+    return {}
+
+
+def _log(logs: dict[str, Any], names: Sequence[str], losses: Any, step: int) -> dict[str, int]:
+    """Write the losses of the last steps into the runs' logs; returns the runs whose loss is not a number, and when."""
     wrong: dict[str, int] = {}
     first = step - len(losses) + 1
-    for offset, (loss, flow) in enumerate(torch.stack(list(losses)).tolist()):
+    for offset, (loss, flow) in enumerate(losses.tolist()):
         for name, own_loss, own_flow in zip(names, loss, flow, strict=True):
             if own_loss != own_loss:
                 wrong.setdefault(name, first + offset)

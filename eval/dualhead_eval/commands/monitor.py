@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dualhead_eval.commands import monitor_study
+
 if TYPE_CHECKING:
     from dualhead_eval.monitor.decision import Episode
     from dualhead_eval.monitor.recorded_episodes import RecordedEpisodes
@@ -20,7 +22,8 @@ Runtime failure monitors on recorded rollouts of a two-head policy.
   dualhead monitor report run.scores.parquet --output report.html
 
 With --policy, fit and score put another policy's predictions on the recorded observations, so that one recording
-serves every monitored policy. Signals, thresholds and measures: docs/monitor.md.
+serves every monitored policy. `dualhead monitor study` runs the registered experiment. Signals, thresholds and
+measures: docs/monitor.md.
 """
 
 
@@ -31,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit = actions.add_parser("fit", help="fit signals and thresholds on successful episodes")
     score = actions.add_parser("score", help="read recorded episodes with a fitted monitor")
     report = actions.add_parser("report", help="what the scores detect, as tables")
+    monitor_study.add_arguments(actions.add_parser("study", help="the registered experiment, start to verdict"))
     for action in (fit, score):
         action.add_argument("rollouts", nargs="+", type=Path, metavar="DIR", help="folders of recorded rollouts")
         action.add_argument("--policy", metavar="DIR", help="monitor this policy instead of the one that drove")
@@ -71,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_policy.quiet import quiet_libraries
 
     quiet_libraries()
-    return {"fit": _fit, "score": _score, "report": _report}[args.action](args)
+    return {"fit": _fit, "score": _score, "report": _report, "study": monitor_study.run}[args.action](args)
 
 
 def _fit(args: argparse.Namespace) -> int:

@@ -31,6 +31,7 @@ class RecordedEpisodes:
         columns: Its columns by key, in order of the frames.
         builder: Makes its decisions.
         names: Names of the observed dimensions, their number where they have none.
+        state_names: Names of the proprioception's dimensions, as the dataset gives them.
     """
 
     root: Path
@@ -38,6 +39,7 @@ class RecordedEpisodes:
     columns: dict[str, NDArray]
     builder: DecisionBuilder
     names: tuple[str, ...] = ()
+    state_names: list[str] | None = None
 
     @property
     def samples(self) -> int:
@@ -93,19 +95,24 @@ class RecordedEpisodes:
                 joint, position = samples(int(frame))
             step = int(frame - frames[0])
             decisions.append(self.builder.build(step, state[frame], context[frame], joint, position))
+        return Episode(
+            decisions=tuple(decisions),
+            **self.episode_facts(number),
+            key=f"{self.root.name}/{self.outcomes[number]['seed']}",
+        )
+
+    def episode_facts(self, number: int) -> dict[str, Any]:
+        """What became of an episode: the fields of :class:`Episode` but for its decisions and key."""
         outcome = self.outcomes[number]
         success = bool(outcome["success"])
         word = "none" if success else "collision" if outcome.get("collision") else "unknown"
-        word = "refused" if outcome.get("refused") else word
-        return Episode(
-            decisions=tuple(decisions),
-            success=success,
-            failure=word if outcome.get("refused") else str(outcome.get("failure") or word),
-            stratum=self.stratum,
-            steps=len(frames),
-            onset=None if outcome.get("onset") in (None, -1) else int(outcome["onset"]),
-            key=f"{self.root.name}/{outcome['seed']}",
-        )
+        return {
+            "success": success,
+            "failure": "refused" if outcome.get("refused") else str(outcome.get("failure") or word),
+            "stratum": self.stratum,
+            "steps": len(self.frames(number)),
+            "onset": None if outcome.get("onset") in (None, -1) else int(outcome["onset"]),
+        }
 
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(number) for number in range(len(self)))
@@ -147,7 +154,8 @@ def open_rollouts(root: str | Path, *, flag: Callable[[NDArray[np.float64]], boo
     for key in OBSERVATIONS:
         width = columns[key].shape[1]
         named += info["features"][key].get("names") or [f"{key}.{i}" for i in range(width)]
-    return RecordedEpisodes(root, sidecar, columns, builder, tuple(named))
+    state_names = info["features"]["observation.state"].get("names")
+    return RecordedEpisodes(root, sidecar, columns, builder, tuple(named), state_names)
 
 
 def training_decisions(root: str | Path) -> list[Decision]:

@@ -19,14 +19,17 @@ dl { display: grid; grid-template-columns: max-content auto; gap: 0.2em 1em; fon
 """
 
 
-def monitor_page(tables: Sequence[Table], figures: Mapping[str, bytes]) -> str:
+def monitor_page(tables: Sequence[Table], figures: Mapping[str, bytes], captions: Mapping[str, str] = CAPTIONS) -> str:
     """The page as one string; images are embedded, nothing is fetched.
 
     Args:
         tables: Its tables.
         figures: PNG bytes by name, see :func:`dualhead_eval.report.figures.monitor.monitor_figures`.
+        captions: What each figure shows, by the same names.
     """
-    body = "\n".join([*(render_table(table) for table in tables), *(_figure(*item) for item in figures.items())])
+    body = "\n".join(
+        [*(render_table(table) for table in tables), *(_figure(captions[name], png) for name, png in figures.items())]
+    )
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>Monitor report</title><style>{_STYLE}</style></head>\n"
@@ -34,8 +37,8 @@ def monitor_page(tables: Sequence[Table], figures: Mapping[str, bytes]) -> str:
     )
 
 
-def _figure(name: str, png: bytes) -> str:
-    caption, data = escape(CAPTIONS[name]), base64.b64encode(png).decode()
+def _figure(text: str, png: bytes) -> str:
+    caption, data = escape(text), base64.b64encode(png).decode()
     return (
         f'<figure><img alt="{caption}" src="data:image/png;base64,{data}"><figcaption>{caption}</figcaption></figure>'
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dualhead_envs  # noqa: F401  (registers the ids)
-from dualhead_envs.bypass.demonstrations import demonstrate_pair
+from dualhead_envs.bypass.demonstrations import demonstrate_modes
 from dualhead_envs.bypass.environment import MAX_EPISODE_STEPS
 
 IDS = ("BimodalBypass-v2", "RotatingBypass-v3")
@@ -27,7 +27,7 @@ def expert(env_id):
 
 @pytest.fixture(scope="module")
 def pair(expert):
-    return demonstrate_pair(expert, seed=3)
+    return demonstrate_modes(expert, seed=3)
 
 
 def replay(env, demonstration, state=None):

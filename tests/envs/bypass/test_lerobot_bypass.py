@@ -11,7 +11,7 @@ from lerobot.envs.utils import env_to_policy_features
 from lerobot.scripts.lerobot_eval import rollout
 
 import dualhead_envs.lerobot_envs  # noqa: F401  (registers the choices)
-from dualhead_envs.bypass.demonstrations import demonstrate_pair
+from dualhead_envs.bypass.demonstrations import demonstrate_modes
 
 TYPES = {"bimodal_bypass": "BimodalBypass-v2", "rotating_bypass": "RotatingBypass-v3"}
 
@@ -41,7 +41,7 @@ def kind(request):
 @pytest.fixture(scope="module")
 def actions(kind):
     expert = gym.make(f"dualhead_envs:{TYPES[kind]}", control="pose").unwrapped
-    return demonstrate_pair(expert, seed=9).demonstrations[0].actions()
+    return demonstrate_modes(expert, seed=9).demonstrations[0].actions()
 
 
 def roll_out(config, actions, use_async_envs=False, n_envs=1):

@@ -9,7 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import dualhead_envs  # noqa: F401  (registers the ids)
-from dualhead_envs.bypass.demonstrations import demonstrate_pair
+from dualhead_envs.bypass.demonstrations import demonstrate_modes
 from dualhead_envs.bypass.perturbations.levels import LEVELS
 from dualhead_envs.bypass.perturbations.perturbation import KINDS, parse_perturbation
 
@@ -26,7 +26,7 @@ ADVICE = ".*(recommend using a symmetric and normalized space|value is -?infinit
 def actions():
     """A demonstration of v2 from seed 3, under joint control."""
     expert = gym.make("BimodalBypass-v2", control="pose").unwrapped
-    dual = demonstrate_pair(expert, seed=3).demonstrations[0].actions()
+    dual = demonstrate_modes(expert, seed=3).demonstrations[0].actions()
     return dual[:, expert.layout.control_indices("joint")]
 
 

@@ -8,6 +8,7 @@ import torch
 from sklearn.cluster import KMeans
 
 from dualhead_policy.flow.keyed_random import keyed_generator
+from dualhead_policy.model.token_corruption import draw_corruption
 from dualhead_policy.model.tokens import TokenTable
 
 MANY = 50_000
@@ -17,7 +18,7 @@ def test_replacement_and_null_probabilities_do_what_their_names_say():
     table = TokenTable(4, 0)
     clean = torch.zeros(MANY, dtype=torch.int64)
     noisy = table.corrupt(
-        clean, table.draw_corruption((MANY,), keyed_generator(0)), replacement_prob=0.2, null_prob=0.1
+        clean, draw_corruption((MANY,), table.n_tokens, keyed_generator(0)), replacement_prob=0.2, null_prob=0.1
     )
     share = torch.bincount(noisy, minlength=5) / MANY
     # A replacement is uniform over all tokens, the original among them.
@@ -27,7 +28,7 @@ def test_replacement_and_null_probabilities_do_what_their_names_say():
 
 def test_without_corruption_tokens_pass_unchanged():
     token, table = torch.arange(4), TokenTable(4, 0)
-    corruption = table.draw_corruption((4,), keyed_generator(0))
+    corruption = draw_corruption((4,), table.n_tokens, keyed_generator(0))
     assert torch.equal(table.corrupt(token, corruption, replacement_prob=0, null_prob=0), token)
 
 

@@ -12,9 +12,9 @@ from safetensors.torch import load_file
 
 from dualhead_policy.training.arguments import parse_training_config
 from dualhead_policy.training.checkpoints import last_checkpoint
+from dualhead_policy.training.fresh_ring_paths import FreshRingPaths
 from dualhead_policy.training.provenance import training_summary
 from dualhead_policy.training.trainer import Training
-from dualhead_policy.training.window_sources import FreshRingPaths
 
 SMALL = ["--batch_size=32", "--policy.device=cpu", "--policy.velocity_width=64", "--policy.encoder_dim=32"]
 
@@ -114,7 +114,7 @@ def test_recorded_windows_are_not_exchanged_for_fresh_paths_on_resuming(ring_dat
 
 def test_an_epoch_visits_every_window_once(ring_data, tmp_path):
     training = Training(parse_training_config(flags(ring_data, tmp_path / "run", "--steps=5"), None))
-    seen = torch.cat([training.source.batch(step).action for step in range(training.source.batches_per_epoch)])
+    seen = torch.cat([training.source.batch(step).action for step in range(training.source.order.batches_per_epoch)])
     assert len(torch.unique(seen.flatten(1), dim=0)) == len(seen) == 256
 
 

@@ -19,7 +19,7 @@ FORMAT = "dualhead-alarms/1"
 #: Significant digits of a stored score. Ranks are those of the stored numbers, live or read back.
 DIGITS = 6
 #: How an infinite score is stored: JSON has no infinity.
-_DIVERGED = "diverged"
+_DIVERGED: Literal["diverged"] = "diverged"
 
 Score = Annotated[float, Field(allow_inf_nan=False)] | Literal["diverged"]
 
@@ -156,6 +156,11 @@ class AlarmLog:
             raise ValueError(f"{file} is no {FORMAT} ({field}: {first['msg']}): write it again") from error
 
 
+def stored(value: float) -> float | Literal["diverged"]:
+    """A score as an alarm log holds it."""
+    return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else _DIVERGED
+
+
 def alarm_log(table: pa.Table, document: dict[str, Any], label: str) -> AlarmLog:
     """The alarm log of a table of scores (:mod:`dualhead_eval.monitor.scores_file`)."""
     columns = table.to_pydict()
@@ -163,9 +168,6 @@ def alarm_log(table: pa.Table, document: dict[str, Any], label: str) -> AlarmLog
     rows: dict[str, list[int]] = {}
     for row, key in enumerate(columns["episode"]):
         rows.setdefault(key, []).append(row)
-
-    def stored(value: float) -> float | str:
-        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else _DIVERGED
 
     episodes = []
     for key, own in rows.items():

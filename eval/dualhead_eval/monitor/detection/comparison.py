@@ -17,6 +17,8 @@ from dualhead_eval.statistics.interval import Interval
 
 #: Rates of false alarms per episode at which detection is reported.
 DETECTION_RATES = (0.05, 0.10)
+#: Groups of measures.
+GROUPS = ("auroc", "false_alarms", "detection")
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,8 @@ def measures(
     log: AlarmLog, signal: str, *, draws: int = BOOTSTRAP_DRAWS, seed: int = BOOTSTRAP_SEED
 ) -> dict[str, Measure]:
     """Every measure of one signal, with intervals; false alarms only where the decisions are flagged."""
-    values, replicates = _replicates(log, signal, draws, seed)
-    return {name: Measure(values[name], _interval(replicates[name])) for name in values}
+    values, drawn = replicates(log, signal, episode_weights(log, draws, seed))
+    return {name: Measure(values[name], percentile_interval(drawn[name])) for name in values}
 
 
 def differences(
@@ -65,10 +67,11 @@ def differences(
             f"{first.label} and {second.label} score different episodes, expected one log of rollouts: score both with "
             "--policy on the same recording"
         )
-    ours, ours_drawn = _replicates(first, signal, draws, seed)
-    theirs, theirs_drawn = _replicates(second, second_signal or signal, draws, seed)
+    weights = episode_weights(first, draws, seed)
+    ours, ours_drawn = replicates(first, signal, weights)
+    theirs, theirs_drawn = replicates(second, second_signal or signal, weights)
     return {
-        name: Measure(ours[name] - theirs[name], _interval(ours_drawn[name] - theirs_drawn[name]))
+        name: Measure(ours[name] - theirs[name], percentile_interval(ours_drawn[name] - theirs_drawn[name]))
         for name in ours.keys() & theirs.keys()
     }
 
@@ -88,39 +91,55 @@ def require_one_monitor(logs: Sequence[AlarmLog]) -> None:
         )
 
 
-def _replicates(
-    log: AlarmLog, signal: str, draws: int, seed: int
+def episode_weights(log: AlarmLog, draws: int, seed: int) -> NDArray[np.float64]:
+    """How often every episode occurs in each bootstrap replicate ``(draws, E)``."""
+    return resample_weights(len(log.document.episodes), draws, np.random.default_rng(seed))
+
+
+def replicates(
+    log: AlarmLog, signal: str, weights: NDArray[np.float64], groups: Sequence[str] = GROUPS
 ) -> tuple[dict[str, float], dict[str, NDArray[np.float64]]]:
-    """Values and bootstrap replicates ``(draws,)`` of every measure."""
+    """Values and bootstrap replicates ``(draws,)`` of every measure of one signal.
+
+    Args:
+        log: The alarm log.
+        signal: The signal.
+        weights: How often every episode occurs in each replicate ``(draws, E)``.
+        groups: Which of :data:`GROUPS` to compute; false alarms only where the decisions are flagged.
+    """
     success = log.success
-    weights = resample_weights(len(success), draws, np.random.default_rng(seed))
-    traces = log.aggregates(signal)
-    primary = compare_traces(traces, success, log.strata)
-    matched = compare_traces(traces, success)
-    largest = largest_aggregates(log, signal)
-    whole = compare_scores(largest, success)
-    compared = {"auroc": primary, "auroc_time_matched": matched, "auroc_whole": whole}
-    values = {name: table.auroc for name, table in compared.items()}
-    replicates = {name: table.resampled(weights) for name, table in compared.items()}
-    if all(episode.flagged is not None for episode in log.document.episodes):
+    values: dict[str, float] = {}
+    drawn: dict[str, NDArray[np.float64]] = {}
+    if "auroc" in groups:
+        traces = log.aggregates(signal)
+        compared = {
+            "auroc": compare_traces(traces, success, log.strata),
+            "auroc_time_matched": compare_traces(traces, success),
+            "auroc_whole": compare_scores(largest_aggregates(log, signal), success),
+        }
+        values |= {name: table.auroc for name, table in compared.items()}
+        drawn |= {name: table.resampled(weights) for name, table in compared.items()}
+    if "false_alarms" in groups and all(episode.flagged is not None for episode in log.document.episodes):
         counted = false_alarms(log, signal)
         values |= {name: float(rate) for name, rate in counted.rates().items()}
-        replicates |= counted.rates(weights)
-    for rate in DETECTION_RATES:
-        name = f"detected_{round(100 * rate)}"
-        values[name] = detection_at(largest, success, rate).detected
-        drawn = np.full(draws, np.nan)
-        for row, weight in enumerate(weights.astype(np.int64)):
-            chosen = np.repeat(np.arange(len(success)), weight)
-            drawn[row] = detection_at(largest[chosen], success[chosen], rate).detected
-        replicates[name] = drawn
-    return values, replicates
+        drawn |= counted.rates(weights)
+    if "detection" in groups:
+        largest = largest_aggregates(log, signal)
+        for rate in DETECTION_RATES:
+            name = f"detected_{round(100 * rate)}"
+            values[name] = detection_at(largest, success, rate).detected
+            drawn[name] = np.full(len(weights), np.nan)
+            for row, weight in enumerate(weights.astype(np.int64)):
+                chosen = np.repeat(np.arange(len(success)), weight)
+                drawn[name][row] = detection_at(largest[chosen], success[chosen], rate).detected
+    return values, drawn
 
 
-def _interval(replicates: NDArray[np.float64]) -> Interval:
+def percentile_interval(replicates: NDArray[np.float64], level: float = 0.95) -> Interval:
+    """Percentile interval of bootstrap replicates, undefined where more than 1 % of them are."""
     defined = replicates[np.isfinite(replicates)]
     undefined = replicates.size - defined.size
     if undefined > 0.01 * replicates.size:
-        return Interval(float("nan"), float("nan"), 0.95, undefined)
-    low, high = np.quantile(defined, [0.025, 0.975])
-    return Interval(float(low), float(high), 0.95, undefined)
+        return Interval(float("nan"), float("nan"), level, undefined)
+    low, high = np.quantile(defined, [(1 - level) / 2, (1 + level) / 2])
+    return Interval(float(low), float(high), level, undefined)

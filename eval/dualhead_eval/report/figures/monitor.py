@@ -35,17 +35,17 @@ def monitor_figures(
     figures = {"roc": roc_figure(logs), "delay": delay_figure(logs), "episode": episode_figure(logs)}
     if any("gap" in measures for measures in measured.values()):
         figures["gap"] = gap_figure(measured)
-    return {name: _png(figure) for name, figure in figures.items() if figure is not None}
+    return {name: png(figure) for name, figure in figures.items() if figure is not None}
 
 
-def roc_figure(logs: Sequence[AlarmLog]) -> Figure | None:
-    """A panel per run and signal, a line per kind with enough failures; None without any."""
+def roc_figure(logs: Sequence[AlarmLog], signals: Sequence[str] = ()) -> Figure | None:
+    """A panel per run and signal (of ``signals``, or all), a line per kind with enough failures; None without any."""
     panels = []
     for log in logs:
         kinds = np.array([_kind(stratum) for stratum in log.strata])
         lines = [k for k in np.unique(kinds) if ((kinds == k) & ~log.success).sum() >= FEWEST]
         if lines and log.success.any():
-            panels += [(log, signal, kinds, lines) for signal in log.signals]
+            panels += [(log, signal, kinds, lines) for signal in log.signals if not signals or signal in signals]
     if not panels:
         return None
     figure, axes = _grid(len(panels))
@@ -83,9 +83,14 @@ def gap_figure(measured: Mapping[tuple[str, str], Mapping[str, Measure]]) -> Fig
     return figure
 
 
-def delay_figure(logs: Sequence[AlarmLog]) -> Figure | None:
+def delay_figure(logs: Sequence[AlarmLog], signals: Sequence[str] = ()) -> Figure | None:
     """Share detected against steps after the onset; None where no failure has an onset."""
-    lines = [(f"{log.label}: {signal}", delays(log, signal)) for log in logs for signal in log.signals]
+    lines = [
+        (f"{log.label}: {signal}", delays(log, signal))
+        for log in logs
+        for signal in log.signals
+        if not signals or signal in signals
+    ]
     lines = [(name, late) for name, late in lines if late.steps.size]
     if not lines:
         return None
@@ -146,7 +151,8 @@ def _grid(panels: int) -> tuple[Figure, np.ndarray]:
     return figure, axes
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """A figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight")
     return buffer.getvalue()

@@ -1,0 +1,234 @@
+"""The monitor study in one folder: demonstrations, policies, log, scores; each stage is skipped where it is done."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from dualhead_envs.dataset_frames import read_split
+from dualhead_eval.atomic_text import write_text
+from dualhead_eval.evaluation.conditions import recorded_environment
+from dualhead_eval.monitor.branch_flag import BranchFlag
+from dualhead_eval.report.monitor_page import monitor_page
+from dualhead_eval.report.table import Table
+from dualhead_eval.studies.monitor.arm_scores import ArmScores
+from dualhead_eval.studies.monitor.conclusions import Conclusions
+from dualhead_eval.studies.monitor.figures import study_figures
+from dualhead_eval.studies.monitor.log_table import MonitorLog, collect_log, read_log, write_log
+from dualhead_eval.studies.monitor.recording import parts, record_log
+from dualhead_eval.studies.monitor.registration import EnvName, PolicyFields, Registration
+from dualhead_policy.pretrained import policy_folder
+
+SETTINGS, LOG = "study.json", "log.parquet"
+EXECUTOR = "executor"
+
+
+class MonitorStudy:
+    """One study in one folder.
+
+    Args:
+        protocol: The registered protocol.
+        env: Name of its environment.
+        preset: Name of its budget.
+        root: Folder of the study.
+        data: Demonstrations of ``dualhead record``, instead of recording them.
+        arms: Folder of trained arms, ``ARM/seed-S``, instead of training them; those that are missing are left out.
+        executor: A trained executor.
+        jobs: Processes at a time.
+        device: Where arms are sampled.
+    """
+
+    def __init__(
+        self,
+        protocol: Registration,
+        env: EnvName,
+        preset: str,
+        root: Path,
+        *,
+        data: Path | None = None,
+        arms: Path | None = None,
+        executor: Path | None = None,
+        jobs: int = 2,
+        device: str = "cpu",
+    ) -> None:
+        self.protocol, self.env, self.preset, self.root = protocol, env, preset, root
+        self.budget = protocol.presets["full" if preset == "full" else "smoke"]
+        self.data = data or root / "data"
+        self.given_arms, self.given_executor = arms, executor
+        self.jobs, self.device = jobs, device
+        self.console = Console(stderr=True)
+
+    def claim_folder(self) -> None:
+        """Create the folder, or go on in it.
+
+        Raises:
+            FileExistsError: If it holds something else, or a study with other settings.
+        """
+        settings = {"env": self.env, "preset": self.preset, "protocol": self.protocol.model_dump(mode="json")}
+        path = self.root / SETTINGS
+        if path.is_file():
+            if json.loads(path.read_text()) != settings:
+                raise FileExistsError(
+                    f"{self.root} holds a monitor study of another environment, preset or protocol: give another "
+                    "--output"
+                )
+            return
+        if self.root.exists() and any(self.root.iterdir()):
+            raise FileExistsError(f"{self.root} is not empty and holds no monitor study: give another --output")
+        write_text(path, json.dumps(settings, indent=1))
+
+    def record_demonstrations(self) -> None:
+        """Record the demonstrations, unless they are there."""
+        from dualhead_envs.record import record
+
+        if (self.data / "card.json").is_file():
+            return
+        environment = self.protocol.environments[self.env]
+        pairs = environment.pairs if self.preset == "full" else environment.smoke_pairs
+        record(environment.env_id, self.data, seed=0, progress=True, pairs=pairs)
+
+    def train(self) -> None:
+        """Train the executor and the arms that are neither given nor finished, runs of equal shapes as one program."""
+        from dualhead_policy.training.sweep.run_sweep import run_sweep
+        from dualhead_policy.training.sweep.sweep_file import SweepRun
+
+        executor = self.protocol.executor
+        wanted: list[tuple[str, int, PolicyFields]] = []
+        if self.given_executor is None:
+            wanted.append((EXECUTOR, executor.seed, executor.policy))
+        if self.given_arms is None:
+            wanted += [(arm, seed, fields) for arm, fields in self.protocol.arms.items() for seed in self.budget.seeds]
+        root = (self.data / "train").resolve()
+        runs = [
+            SweepRun(
+                f"{name}/seed-{seed}",
+                str(root),
+                seed,
+                (
+                    f"--dataset.root={root}",
+                    f"--seed={seed}",
+                    f"--steps={self.budget.steps}",
+                    f"--save_freq={self.budget.steps}",
+                    "--policy.device=cpu",
+                    *(f"--policy.{field}={value}" for field, value in fields.items()),
+                ),
+                "smoke",
+            )
+            for name, seed, fields in wanted
+        ]
+        if runs:
+            with redirect_stdout(None):
+                manifest = run_sweep(runs, self.root / "policies", jobs=self.jobs, size=16, precision="fp32")
+            failed = {name: record.error for name, record in manifest.runs.items() if record.state == "failed"}
+            if failed:
+                name, error = next(iter(failed.items()))
+                raise ValueError(f"training of {name} failed ({error}): repeat the command to try again")
+
+    @property
+    def executor(self) -> Path:
+        """Folder of the policy that drives."""
+        return self.given_executor or self.root / "policies" / EXECUTOR / f"seed-{self.protocol.executor.seed}"
+
+    def arm(self, name: str, seed: int) -> Path:
+        """Folder of an arm's policy."""
+        return (self.given_arms or self.root / "policies") / name / f"seed-{seed}"
+
+    def log(self) -> MonitorLog:
+        """Record the log, or read it if it is there."""
+        if (self.root / LOG).is_file():
+            return read_log(self.root / LOG)
+        split = read_split(self.data / "train")
+        _, env_kwargs = recorded_environment(split)
+        total = sum(part.episodes for part in parts(self.protocol, self.budget))
+        with self._bar("recording the log", total, "episodes") as advance:
+            record_log(
+                self.root / "log", self.executor, self.env, self.protocol, self.budget,
+                env_kwargs=env_kwargs, jobs=self.jobs, progress=advance,
+            )  # fmt: skip
+        with self._bar("flagging decisions", total, "episodes") as advance:
+            log = collect_log(
+                self.root / "log", self.protocol, self.budget, BranchFlag.from_split(split), progress=advance
+            )
+        write_log(log, self.root / LOG)
+        return log
+
+    def scores_file(self, arm: str, seed: int) -> Path:
+        """Where the scores of an arm are kept."""
+        return self.root / "scores" / f"{arm}-{seed}.parquet"
+
+    def missing(self) -> list[tuple[str, int]]:
+        """Arms and seeds that can be scored and are not, the baseline and the primary arm first."""
+        order = [self.protocol.baseline, self.protocol.primary_arm]
+        order += [arm for arm in self.protocol.arms if arm not in order]
+        pairs = [(arm, seed) for seed in self.budget.seeds for arm in order[:2]]
+        pairs += [(arm, seed) for seed in self.budget.seeds for arm in order[2:]]
+        return [
+            (arm, seed)
+            for arm, seed in pairs
+            if not self.scores_file(arm, seed).is_file() and _has_policy(self.arm(arm, seed))
+        ]
+
+    def score(self, log: MonitorLog) -> None:
+        """Score every arm that is there and not scored yet, several at a time."""
+        from dualhead_eval.studies.monitor.score_files import score_files
+
+        todo = self.missing()
+        with self._bar("scoring arms", len(todo), "runs") as advance:
+            jobs = [(self.arm(arm, seed), self.scores_file(arm, seed), seed) for arm, seed in todo]
+            score_files(
+                self.root / LOG, jobs, self.protocol.scoring, workers=self.jobs, device=self.device, progress=advance
+            )
+
+    def scored(self) -> dict[str, dict[int, ArmScores]]:
+        """The scores of every arm that has some, by training seed."""
+        found: dict[str, dict[int, ArmScores]] = {}
+        for arm in self.protocol.arms:
+            for seed in self.budget.seeds:
+                if self.scores_file(arm, seed).is_file():
+                    found.setdefault(arm, {})[seed] = ArmScores.read(self.scores_file(arm, seed))
+        return found
+
+    def write_page(self, tables: list[Table], found: Conclusions) -> Path:
+        """Write tables and figures as one HTML page; returns its path."""
+        path = self.root / "report.html"
+        write_text(path, monitor_page(tables, study_figures(found)))
+        return path
+
+    def _bar(self, title: str, total: int, unit: str) -> Any:
+        return _Bar(self.console, title, total, unit)
+
+
+class _Bar:
+    """A progress bar with the time left, as a context that gives the function that advances it."""
+
+    def __init__(self, console: Console, title: str, total: int, unit: str) -> None:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(unit),
+            TimeRemainingColumn(),
+        )
+        self._progress = Progress(*columns, console=console)
+        self._task = self._progress.add_task(title, total=total)
+
+    def __enter__(self) -> Callable[[int], object]:
+        self._progress.start()
+        return lambda done: self._progress.advance(self._task, done)
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+
+def _has_policy(folder: Path) -> bool:
+    try:
+        policy_folder(folder)
+    except FileNotFoundError:
+        return False
+    return True

@@ -1,0 +1,94 @@
+"""The registered criteria, graded as they were written: met, not met, not decided, not tested."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dualhead_eval.statistics.interval import Interval
+from dualhead_eval.studies.monitor.families import FamilyMeasure
+from dualhead_eval.studies.monitor.registration import Criteria
+
+MET, NOT_MET, NOT_DECIDED, NOT_TESTED = "met", "not met", "not decided", "not tested"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A criterion and how it came out.
+
+    Attributes:
+        name: P1, P2, S1, S2 or S4.
+        measure: What was compared, in words.
+        value: The difference.
+        interval: The interval that decides.
+        grade: One of the four words, or "reported" for what is not tested.
+        reason: Why, in words.
+        p_value: One-sided p value of P1 and P2.
+    """
+
+    name: str
+    measure: str
+    value: float
+    interval: Interval
+    grade: str
+    reason: str
+    p_value: float | None = None
+
+
+def grade_false_alarms(arm: FamilyMeasure, baseline: FamilyMeasure, criteria: Criteria) -> Verdict:
+    """P1 on the gap of an arm and of the baseline."""
+    rule = criteria.P1
+    difference = arm - baseline
+    interval = difference.interval()
+    share = arm.value / baseline.value if baseline.value > 0 else float("nan")
+    reason = f"gap {arm.value:+.1%} against {baseline.value:+.1%}"
+    if interval.high < rule.upper_below and arm.value <= rule.at_most_share_of_baseline * baseline.value:
+        grade = MET
+    elif interval.high < rule.upper_below:
+        grade, reason = NOT_MET, f"{reason}: {share:.0%} of it is left"
+    elif interval.low > rule.upper_below:
+        grade = NOT_MET
+    else:
+        grade = NOT_DECIDED
+    p = difference.beyond(rule.upper_below, above=False)
+    return Verdict("P1", f"{rule.signal}, gap of false alarms", difference.value, interval, grade, reason, p)
+
+
+def grade_detection(arm: FamilyMeasure, baseline: FamilyMeasure, criteria: Criteria) -> Verdict:
+    """P2 on the AUROC of an arm and of the baseline: not worse by more than the margin."""
+    rule = criteria.P2
+    difference = arm - baseline
+    interval = difference.interval()
+    if interval.low > rule.lower_above:
+        grade = MET
+    elif interval.high < rule.lower_above:
+        grade = NOT_MET
+    else:
+        grade = NOT_DECIDED
+    reason = f"AUROC {arm.value:.3f} against {baseline.value:.3f}, margin {rule.lower_above:g}"
+    p = difference.beyond(rule.lower_above, above=True)
+    return Verdict("P2", f"{rule.signal}, AUROC", difference.value, interval, grade, reason, p)
+
+
+def grade_rival(arm: FamilyMeasure, rival: FamilyMeasure, criteria: Criteria) -> Verdict:
+    """S2: is the baseline's matched residual as good as the arm's residual, or better?"""
+    rule = criteria.S2
+    difference = rival - arm
+    interval, wide = difference.interval(0.90), difference.interval()
+    inside = -rule.equivalence < interval.low and interval.high < rule.equivalence
+    words = [
+        word for word, holds in (("equivalent", inside), ("better", wide.low > 0), ("worse", wide.high < 0)) if holds
+    ]
+    grade = ", ".join(words) or NOT_DECIDED
+    reason = (
+        f"AUROC {rival.value:.3f} without coordination against {arm.value:.3f} with it; 95 % [{wide.low:+.3f}, "
+        f"{wide.high:+.3f}]"
+    )
+    measure = f"{rule.signal} of the baseline against {rule.against} of the arm, AUROC"
+    return Verdict("S2", measure, difference.value, interval, grade, reason)
+
+
+def report_difference(name: str, measure: str, arm: FamilyMeasure, baseline: FamilyMeasure) -> Verdict:
+    """S1 and S4: the difference with its interval."""
+    difference = arm - baseline
+    reason = f"{arm.value:.1%} against {baseline.value:.1%}"
+    return Verdict(name, measure, difference.value, difference.interval(), "reported", reason)

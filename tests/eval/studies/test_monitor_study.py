@@ -1,0 +1,230 @@
+"""The monitor study's statistics on logs whose truth is known: gaps that are there or not, gates, Holm, files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dualhead_eval.monitor.recorded_episodes import OBSERVATIONS
+from dualhead_eval.studies.monitor.arm_scores import ArmScores, coarse
+from dualhead_eval.studies.monitor.conclusions import conclude
+from dualhead_eval.studies.monitor.families import Families, FamilyMeasure, holm
+from dualhead_eval.studies.monitor.figures import study_figures
+from dualhead_eval.studies.monitor.log_table import MonitorLog, read_log, write_log
+from dualhead_eval.studies.monitor.recording import parts
+from dualhead_eval.studies.monitor.regime import regime
+from dualhead_eval.studies.monitor.registration import registered
+from dualhead_eval.studies.monitor.scoring import joint_labels, labels_by_token
+from dualhead_eval.studies.monitor.tables import study_tables
+
+DECISIONS, FLAGGED = 20, (9, 10)
+
+
+@pytest.fixture(scope="module")
+def protocol():
+    """The registered protocol with fewer draws and signals."""
+    made = registered()
+    inference = made.inference.model_copy(update={"draws": 199})
+    scoring = made.scoring.model_copy(update={"signals": ["residual", "residual_matched"]})
+    return made.model_copy(update={"inference": inference, "scoring": scoring})
+
+
+def make_log(rng, calibration=60, nominal=60, cell=60, failing=0.5):
+    """Episodes of twenty decisions of which two are flagged; those of one cell fail by half."""
+    names = ["calibration"] * calibration + ["nominal"] * nominal + ["push@2"] * cell
+    success = np.array([name != "push@2" or rng.random() > failing for name in names])
+    episodes = {
+        "part": names,
+        "seed": list(range(len(names))),
+        "success": success.tolist(),
+        "failure": ["none" if won else "drop" for won in success],
+        "stratum": ["push:491" if name == "push@2" else "nominal" for name in names],
+        "steps": [8 * DECISIONS] * len(names),
+        "onset": [None if name != "push@2" else 40 for name in names],
+    }
+    episode = np.repeat(np.arange(len(names)), DECISIONS)
+    decision = np.tile(np.arange(DECISIONS), len(names))
+    observations = {key: rng.normal(size=(len(episode), 3)).astype(np.float32) for key in OBSERVATIONS}
+    about = {"env_id": "BimodalBypass-v2", "env_kwargs": {}, "layout": "panda", "horizon": 16, "state_names": None}
+    return MonitorLog(episodes, episode, 8 * decision, np.isin(decision, FLAGGED), observations, about)
+
+
+def make_scores(rng, log, signals, mismatch, *, tokens=False, warning=3.0):
+    """Scores that rise late in failures and, in a share of the flagged decisions, by a mismatch."""
+    failed = ~np.array(log.episodes["success"])[log.episode]
+    crossed = log.flagged & (rng.random(len(log)) < mismatch)
+    base = rng.gamma(4.0, 1.0, len(log)) + 100 * crossed + warning * 8 * (failed & (log.step > 80))
+    n = 16
+    sides = rng.integers(0, 2, (len(log), 2, n))
+    if mismatch == 0:
+        sides[:, 1] = sides[:, 0]
+    pairs = np.stack([joint_labels(labels, 2) for labels in sides])
+    followed = np.stack([labels_by_token(labels, labels[0], 2, 2) for labels in sides]) if tokens else None
+    entropy = np.full(len(log), np.log(2), dtype=np.float32) if tokens else None
+    return ArmScores({name: base.astype(np.float32) for name in signals}, crossed, pairs, followed, entropy, {})
+
+
+@pytest.fixture(scope="module")
+def found(protocol):
+    """A baseline with mismatches at half of the flagged decisions, and an arm without any; six seeds."""
+    rng = np.random.default_rng(0)
+    log, signals = make_log(rng), protocol.scoring.signals
+    seeds = protocol.presets["full"].seeds
+    scored = {
+        "A": {seed: make_scores(rng, log, signals, 0.5) for seed in seeds},
+        "I": {seed: make_scores(rng, log, signals, 0.0, tokens=True) for seed in seeds},
+    }
+    return log, scored, conclude(log, scored, protocol, seeds)
+
+
+def test_a_gap_that_is_taken_away_is_graded_so(found):
+    verdicts = {verdict.name: verdict for verdict in found[2].verdicts["I"]}
+    assert verdicts["P1"].grade == "met"
+    assert verdicts["P1"].value == pytest.approx(-0.5, abs=0.1)
+    assert verdicts["P1"].p_value == pytest.approx(1 / 200)
+    assert verdicts["P2"].grade == "met"
+    # All of the baseline's gap is mismatch, and the other arm has none.
+    assert found[2].families["A", "residual"]["surcharge"].value == pytest.approx(0.5, abs=0.1)
+    assert found[2].families["I", "residual"]["surcharge"].value == 0
+
+
+def test_a_threshold_per_flag_takes_the_gap_away_without_coordination(found):
+    rivals = found[2].rivals
+    assert rivals["A", "conformal:paper-step"]["gap"].value > 0.4
+    assert abs(rivals["A", "mondrian:paper-step"]["gap"].value) < 0.05
+
+
+def test_two_equal_arms_are_not_told_apart(protocol):
+    rng = np.random.default_rng(1)
+    log, signals = make_log(rng), protocol.scoring.signals
+    seeds = protocol.presets["full"].seeds
+    scored = {
+        arm: {seed: make_scores(rng, log, signals, 0.5, tokens=arm == "I") for seed in seeds} for arm in ("A", "I")
+    }
+    verdicts = {verdict.name: verdict for verdict in conclude(log, scored, protocol, seeds).verdicts["I"]}
+    assert verdicts["P1"].grade != "met"
+    assert abs(verdicts["P1"].value) < 0.1
+
+
+def test_fewer_seeds_than_registered_decide_nothing(found, protocol):
+    log, scored, _ = found
+    some = {arm: dict(list(by_seed.items())[:2]) for arm, by_seed in scored.items()}
+    verdicts = conclude(log, some, protocol, protocol.presets["full"].seeds).verdicts["I"]
+    assert {verdict.grade for verdict in verdicts} == {"not decided"}
+    assert all("2 of 6 seeds scored so far" in verdict.reason for verdict in verdicts)
+
+
+def test_heads_without_two_modes_are_not_tested(found, protocol):
+    log, scored, _ = found
+    collapsed = {}
+    for seed, scores in scored["I"].items():
+        pairs = np.zeros_like(scores.pairs)
+        pairs[:, 0, 0] = 16
+        collapsed[seed] = ArmScores(scores.scores, scores.crossed, pairs, scores.followed, scores.entropy, {})
+    conclusions = conclude(log, {"A": scored["A"], "I": collapsed}, protocol, protocol.presets["full"].seeds)
+    assert {verdict.grade for verdict in conclusions.verdicts["I"]} == {"not tested"}
+    assert "capacity 0.00 < 0.25" in conclusions.verdicts["I"][0].reason
+
+
+def test_a_token_that_nobody_obeys_fails_the_gate(found, protocol):
+    log, scored, _ = found
+    scores = next(iter(scored["I"].values()))
+    obedient = regime(log, scores, 16)
+    assert obedient.obedience == pytest.approx(1.0)
+    assert not obedient.missed(protocol.gate)
+    indifferent = scores.followed.copy()
+    indifferent[:] = indifferent.mean(axis=2, keepdims=True).astype(np.uint8)
+    disobeyed = regime(log, ArmScores(scores.scores, scores.crossed, scores.pairs, indifferent, scores.entropy, {}), 16)
+    assert disobeyed.missed(protocol.gate) == [f"obedience {disobeyed.obedience:.2f} < 0.9"]
+    assert disobeyed.obedience == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_baseline_must_be_scored(found, protocol):
+    log, scored, _ = found
+    with pytest.raises(ValueError, match="arm A has no scores"):
+        conclude(log, {"I": scored["I"]}, protocol, [100])
+
+
+def test_tables_and_figures_of_a_whole_study(found, protocol):
+    log, _, conclusions = found
+    tables = study_tables(log, conclusions, protocol)
+    assert tables[0].title == "The registered criteria"
+    assert "(P1 and P2 together): established, p = 0.01" in tables[0].notes[0]
+    figures = study_figures(conclusions)
+    assert set(figures) == {"forest", "roc", "delay"}
+    assert all(png.startswith(b"\x89PNG") for png in figures.values())
+
+
+def test_a_familys_interval_holds_the_spread_of_its_seeds():
+    rng = np.random.default_rng(2)
+    families = Families(50, 500, 0)
+    values = rng.normal(0, 1, 6)
+    runs = [({"m": float(v)}, {"m": np.full(500, v)}) for v in values]
+    interval = families.family(runs)["m"].interval()
+    half = 1.96 * values.std() / np.sqrt(6)
+    assert interval.high - interval.low == pytest.approx(2 * half, rel=0.15)
+
+
+def test_p_values_are_of_one_side():
+    measure = FamilyMeasure(1.0, np.ones(1), np.linspace(0, 2, 101))
+    assert measure.beyond(0.5, above=True) == pytest.approx((1 + 26) / 102)
+    assert measure.beyond(0.5, above=False) == pytest.approx((1 + 76) / 102)
+
+
+@pytest.mark.parametrize(
+    ("p_values", "planned", "expected"),
+    [
+        ({"v2": 0.03}, 2, {"v2": False}),
+        ({"v2": 0.02}, 2, {"v2": True}),
+        ({"v2": 0.02, "v3": 0.04}, 2, {"v2": True, "v3": True}),
+        ({"v2": 0.03, "v3": 0.001}, 2, {"v3": True, "v2": True}),
+        ({"v2": 0.03, "v3": 0.04}, 2, {"v2": False, "v3": False}),
+    ],
+)
+def test_holm(p_values, planned, expected):
+    assert holm(p_values, 0.05, planned) == expected
+
+
+def test_a_log_and_scores_are_read_as_written(tmp_path, found):
+    log, scored, _ = found
+    write_log(log, tmp_path / "log.parquet")
+    again = read_log(tmp_path / "log.parquet")
+    assert again.episodes == log.episodes
+    assert again.about == log.about
+    for name in ("episode", "step", "flagged"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(log, name))
+    for key in OBSERVATIONS:
+        np.testing.assert_array_equal(again.observations[key], log.observations[key])
+    scores = next(iter(scored["I"].values()))
+    scores.write(tmp_path / "I.parquet")
+    kept = ArmScores.read(tmp_path / "I.parquet")
+    for name, values in scores.scores.items():
+        np.testing.assert_array_equal(kept.scores[name], coarse(values))
+        np.testing.assert_allclose(kept.scores[name], values, rtol=2.0**-12)
+    np.testing.assert_array_equal(kept.pairs, scores.pairs)
+    np.testing.assert_array_equal(kept.followed, scores.followed)
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b'{"a": 1}'])
+def test_damaged_files_are_refused_in_a_sentence(tmp_path, content):
+    for reader in (read_log, ArmScores.read):
+        with pytest.raises(FileNotFoundError, match="does not exist, expected"):
+            reader(tmp_path / "nothing.parquet")
+        path = tmp_path / "damaged.parquet"
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="delete it, and repeat the study's command"):
+            reader(path)
+
+
+def test_scores_that_diverged_stay_infinite():
+    assert np.isinf(coarse(np.array([np.nan, np.inf]))).all()
+
+
+def test_no_seed_of_the_log_is_used_twice(protocol):
+    for budget in protocol.presets.values():
+        seeds = [
+            seed for part in parts(protocol, budget) for seed in range(part.first_seed, part.first_seed + part.episodes)
+        ]
+        assert len(set(seeds)) == len(seeds)
+    full = parts(protocol, protocol.presets["full"])
+    assert sum(part.episodes for part in full) >= 1200
