@@ -1,0 +1,243 @@
+"""A real study of the ring at a tiny budget: from nothing to its verdict, and what it does with what it finds."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dualhead_eval.cli import main
+from dualhead_eval.gate import read_gate, write_gate
+from dualhead_eval.studies.gate_store import GateStore, study_results
+from dualhead_eval.studies.study_file import read_study
+from dualhead_eval.studies.study_plan import plan_study
+
+STUDY = {
+    "title": "Shared noise on a small ring",
+    "question": "Does shared noise do what the map says?",
+    "datasets": {
+        "ring": {
+            "env": "RotatingRing-v2",
+            "env_kwargs": {"representation": "nullspace"},
+            "episodes": 400,
+            "conditions": 12,
+        }
+    },
+    "banks": {
+        "frozen": {"conditions": 6, "pairs": 64},
+        "large": {"conditions": 12, "pairs": 32, "residuals": False},
+    },
+    "flags": {"policy.velocity_width": 64, "policy.encoder_dim": 32, "policy.device": "cpu"},
+    "runs": [
+        {
+            "importance": 1,
+            "configurations": [
+                {"name": "A_independent", "flags": {"policy.source_noise_beta": 1.0}},
+                {"name": "B_shared_noise", "flags": {"policy.source_noise_beta": 0.0}},
+            ],
+            "seeds": [0, 1],
+            "steps": 150,
+            "evaluate_at": [50, 150],
+        },
+        {
+            "importance": 2,
+            "configurations": [{"name": "A_independent", "flags": {"policy.source_noise_beta": 1.0}}],
+            "seeds": [0, 1],
+            "steps": 150,
+            "banks": ["large"],
+        },
+    ],
+    "criteria": [
+        {
+            "name": "floor",
+            "test": "equivalence",
+            "claim": "Independent heads are at the floor.",
+            "criterion": "seed-level TOST of rho at 2 %",
+            "rows": ["A_independent"],
+            "margin": 0.02,
+        },
+        {
+            "name": "optimum",
+            "test": "exact",
+            "claim": "Networks reach the optimum.",
+            "criterion": "within 3 points",
+            "rows": ["A_independent", "B_shared_noise"],
+            "margin": 0.03,
+        },
+    ],
+}
+
+
+def write_study(folder: Path, **changes) -> Path:
+    path = folder / "small.yaml"
+    path.write_text(yaml.safe_dump(STUDY | changes, sort_keys=False))
+    return path
+
+
+def command(folder: Path, *more: str, study: Path | None = None) -> list[str]:
+    places = ["--data", str(folder / "data"), "--runs", str(folder / "runs"), "--results", str(folder / "results")]
+    return ["study", str(study or folder / "small.yaml"), *places, "--jobs", "1", "--no-progress", *more]
+
+
+def contents(folder: Path) -> dict[Path, tuple[int, bytes]]:
+    return {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished study's folder."""
+    folder = tmp_path_factory.mktemp("study")
+    write_study(folder)
+    assert main(command(folder)) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(finished, tmp_path):
+    """A copy of a finished study's results alone: no data, no runs, as somebody else would find them."""
+    shutil.copytree(finished / "results", tmp_path / "results")
+    write_study(tmp_path)
+    return tmp_path
+
+
+def test_a_study_goes_from_its_file_to_its_verdict(finished):
+    gates = sorted(path.relative_to(finished / "results" / "gates").as_posix() for path in _gates(finished))
+    assert gates == sorted(
+        [f"ring/{name}-150/seed-{seed}/{step}-frozen.gate.json.gz" for name in ("A_independent", "B_shared_noise")
+         for seed in (0, 1) for step in ("000050", "000150")]
+        + [f"ring/A_independent-150/seed-{seed}/000150-large.gate.json.gz" for seed in (0, 1)]
+    )  # fmt: skip
+    rows = list(csv.DictReader((finished / "results" / "small" / "table.csv").open()))
+    assert len(rows) == len(gates)
+    assert {row["paper_row"] for row in rows} == {
+        "testbed/A independent/nullspace",
+        "testbed/B shared source noise/nullspace",
+    }
+    for row in rows:
+        assert 0 < float(row["valid_rate"]) <= 1
+        assert float(row["final_loss"]) > 0
+        assert row["plateaued"] in ("true", "false")
+        assert (row["device"], row["precision"]) == ("cpu", "fp32")
+        assert len(row["dataset_fingerprint"]) == len(row["training_fingerprint"]) == 64
+    assert {float(row["exact_rho"]) < -0.1 for row in rows if row["configuration"] == "B_shared_noise"} == {True}
+    assert (finished / "results" / "small" / "figure.png").stat().st_size > 10_000
+
+
+def test_a_checkpoint_on_the_way_is_judged_by_its_own_losses(finished):
+    store = {(r.configuration, r.seed, r.step): r.gate for r in study_results(finished / "results" / "gates")}
+    early, late = (store["A_independent", 0, step].provenance["training"] for step in (50, 150))
+    assert early["final_loss"] != late["final_loss"]
+    assert early["steps"] == late["steps"] == 150
+    assert not store["A_independent", 0, 50].strata
+    assert store["B_shared_noise", 1, 150].strata
+
+
+def test_a_finished_study_changes_nothing_and_needs_neither_data_nor_runs(copied, capsys):
+    before = contents(copied)
+    assert main(command(copied)) == 0
+    assert contents(copied) == before
+    out = capsys.readouterr().out
+    assert "10 of 10 evaluations are there" in out
+    assert "floor" in out
+    assert not (copied / "data").exists()
+
+
+def test_missing_gate_files_are_named(copied, capsys):
+    for path in (copied / "results" / "gates" / "ring" / "B_shared_noise-150" / "seed-1").iterdir():
+        path.unlink()
+    assert main(command(copied, "--verdict-only")) == 0
+    out = capsys.readouterr().out
+    assert "8 of 10 evaluations are there" in out
+    assert "missing ring/B_shared_noise-150/seed-1: 000050-frozen.gate.json.gz, 000150-frozen.gate.json.gz" in out
+    assert "seed 1 missing" in out
+
+
+def test_a_study_without_any_result_says_what_is_missing(tmp_path, capsys):
+    write_study(tmp_path)
+    assert main(command(tmp_path, "--verdict-only")) == 0
+    out = capsys.readouterr().out
+    assert "0 of 10 evaluations are there" in out
+    assert "not graded" in out
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"flags": STUDY["flags"] | {"policy.velocity_width": 32}}, "policy.velocity_width 64, expected 32"),
+        ({"flags": STUDY["flags"] | {"batch_size": 64}}, "batch_size 128, expected 64"),
+        ({"banks": {"frozen": {"conditions": 6, "pairs": 65}, "large": {}}}, "pairs_per_condition 64, expected 65"),
+        ({"banks": {"frozen": {"conditions": 5, "pairs": 64}, "large": {}}}, "conditions 6, expected 5"),
+        (
+            {"banks": {"frozen": {"conditions": 6, "pairs": 64, "seed": 9}, "large": {}}},
+            "evaluation seed 0, expected 9",
+        ),
+        (
+            {"banks": {"frozen": {"conditions": 6, "pairs": 64, "taus": [0.4]}, "large": {}}},
+            r"taus \[0.55\], expected \[0.4, 0.55\]",
+        ),
+        (
+            {"datasets": {"ring": STUDY["datasets"]["ring"] | {"env_kwargs": {"representation": "polar"}}}},
+            "environment's representation 'nullspace', expected 'polar'",
+        ),
+        ({"datasets": {"ring": {"env": "RotatingRing-v4", "episodes": 9}}}, "expected 'RotatingRing-v4'"),
+    ],
+)
+def test_a_changed_study_never_mixes_with_the_former_ones_results(copied, changes, word, capsys):
+    write_study(copied, **changes)
+    before = contents(copied / "results")
+    assert main(command(copied)) == 2
+    said = capsys.readouterr().err
+    assert contents(copied / "results") == before
+    with pytest.raises(ValueError, match=word):
+        raise ValueError(said)
+
+
+def test_a_gate_of_another_run_or_recording_is_refused(copied, capsys):
+    folder = copied / "results" / "gates" / "ring" / "A_independent-150"
+    first, second = (folder / f"seed-{seed}" / "000150-frozen.gate.json.gz" for seed in (0, 1))
+    shutil.copy(first, second)
+    assert main(command(copied, "--verdict-only")) == 2
+    assert "training seed 0, expected 1" in capsys.readouterr().err
+    gate = read_gate(first)
+    changed = json.loads(json.dumps(gate.provenance))
+    changed["training"]["seed"] = 1
+    changed["dataset"]["fingerprint"] = "0" * 64
+    write_gate(replace(gate, provenance=changed), second, overwrite=True)
+    assert main(command(copied, "--verdict-only")) == 2
+    assert "expected one recording of ring" in capsys.readouterr().err
+
+
+def test_a_gate_from_another_machine_is_taken_by_what_it_holds(copied, capsys):
+    path = copied / "results" / "gates" / "ring" / "A_independent-150" / "seed-0" / "000150-frozen.gate.json.gz"
+    gate = read_gate(path)
+    gate.provenance["run"] |= {"device": "cuda", "precision": "bf16"}
+    gate.provenance["training"]["device"] = "cuda"
+    # A field that the policy has gained since is at its default.
+    gate.provenance["config"].pop("token_positions")
+    write_gate(gate, path, overwrite=True)
+    assert main(command(copied, "--verdict-only")) == 0
+    assert "10 of 10" in capsys.readouterr().out
+    assert "bf16,cuda" in (copied / "results" / "small" / "table.csv").read_text()
+
+
+def test_the_store_reads_what_the_plan_asked_for(finished):
+    plan = plan_study(read_study(finished / "small.yaml"))
+    results = GateStore(finished / "results" / "gates").results(plan)
+    assert [(r.dataset, r.configuration, r.seed, r.step, r.bank) for r in results] == [
+        (e.run.dataset, e.run.configuration, e.run.seed, e.step, e.bank) for e in plan.evaluations
+    ]
+
+
+def test_an_unknown_study_is_refused_with_the_ones_there_are(capsys):
+    assert main(["study", "astrology"]) == 2
+    assert "there is no study 'astrology'" in capsys.readouterr().err
+
+
+def _gates(folder: Path):
+    return (folder / "results" / "gates").rglob("*.gate.json.gz")
