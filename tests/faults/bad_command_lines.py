@@ -35,6 +35,12 @@ def command_line_cases(products: Products) -> Iterator[Case]:
 
         yield Case(f"yaml: {what}", prepare, (word, "bad.yaml"))
 
+        def study(folder: Path, text: str = text) -> list[str]:
+            (folder / "bad.yaml").write_text(text)
+            return ["study", str(folder / "bad.yaml")]
+
+        yield Case(f"study: {what}", study, (word, "bad.yaml"))
+
 
 POLICY_FLAGS = [
     ("chunk_size", "0"), ("chunk_size", "many"), ("chunk_size", "1000000000"), ("velocity_width", "1000000000"),
@@ -90,6 +96,8 @@ OTHERS = [
     ("report", "", "empty"), ("train", "--output_dir=x", "dataset.root"), ("evaluate", "--output"), ("report", "GATE"),
     ("train", "--resume=true", "output_dir"), ("train", "--resume=true", "--output_dir=nowhere", "nowhere"),
     ("demo", "--env", "elbow", "elbow"), ("demo", "--colour", "colour"), ("dance", "dance"),
+    ("study", "astrology", "astrology"), ("study", "nowhere.yaml", "nowhere"),
+    ("study", "x.yaml", "--jobs", "0", "jobs"),
 ]  # fmt: skip
 YAML_FILES = {
     "no mapping": ("- 1\n- 2\n", "bad.yaml"),

@@ -12,6 +12,8 @@ import numpy as np
 from cases import Case, Products, file_case, report
 from damage import CONTROL, Damage, byte_damages, doubled, json_damages
 
+from dualhead_eval.gate import read_gate, write_gate
+
 
 def gate_cases(products: Products) -> Iterator[Case]:
     rng = np.random.default_rng(1)
@@ -19,6 +21,11 @@ def gate_cases(products: Products) -> Iterator[Case]:
     for what, damage in byte_damages(whole.stat().st_size, rng):
         yield file_case(f"gate: {what}", whole, damage, report)
     yield file_case("gate: a field given twice", whole, doubled, report)
+    small = whole.with_name("small.gate.json.gz")
+    if not small.exists():
+        write_gate(read_gate(whole), small)
+    for what, damage in byte_damages(small.stat().st_size, rng):
+        yield file_case(f"compressed gate: {what}", small, damage, report)
     content = json.loads(whole.read_text())["content"]
     for what, change in json_damages(content, rng, free=("provenance",), most=90):
         if what.startswith("no strata."):

@@ -98,6 +98,45 @@ def sweeping(data):
     return Work(arguments, *weights_and_steps(runs))
 
 
+def studying(data):
+    """A study of two runs on recorded data: its gate files are its product."""
+
+    def arguments(folder):
+        flags = {"batch_size": 16, "policy.device": "cpu", "policy.velocity_width": 32, "policy.encoder_dim": 16}
+        floor = {"name": "floor", "test": "equivalence", "claim": "c", "criterion": "c", "rows": ["A"], "margin": 0.02}
+        study = {
+            "title": "small",
+            "question": "Does it go on?",
+            "datasets": {data.name: {"env": "RotatingRing-v2", "episodes": 1}},  # is there: nothing is recorded
+            "banks": {"frozen": {"conditions": 4, "pairs": 32}},
+            "flags": flags,
+            "runs": [
+                {
+                    "importance": importance,
+                    "configurations": [{"name": name}],
+                    "seeds": [0],
+                    "steps": STEPS,
+                    "evaluate_at": [STEPS // 2, STEPS],
+                }
+                for importance, name in ((1, "A"), (2, "B"))
+            ],
+            "criteria": [floor],
+        }
+        (folder / "study.yaml").write_text(json.dumps(study))  # JSON is YAML
+        places = ["--data", str(data.parent), "--runs", str(folder / "runs"), "--results", str(folder / "results")]
+        return ["study", str(folder / "study.yaml"), *places, "--jobs", "1", "--no-progress"]
+
+    def product(folder):
+        whole = len(list(folder.glob("results/gates/**/*.gate.json.gz"))) == 4
+        table = folder / "results" / "study" / "table.csv"
+        return digests(folder / "results" / "gates", table) if whole and table.exists() else None
+
+    def progress(folder):
+        return len(list(folder.glob("runs/*/*/*/checkpoints/0*"))) + len(list(folder.glob("results/gates/**/*.gz")))
+
+    return Work(arguments, product, progress)
+
+
 def evaluation(policy, data):
     def arguments(folder):
         what = ["--policy", str(policy), "--dataset", str(data / "test"), "--pairs", "200", "--label", "run"]
@@ -153,6 +192,7 @@ def works(ring_data, trained, tmp_path_factory):
         "train": training(ring_data),
         "train seeds": training(ring_data, "--seeds", "0", "1", runs=("run/seed-0", "run/seed-1")),
         "sweep": sweeping(ring_data),
+        "study": studying(ring_data),
         "evaluate": Work(evaluation(trained, ring_data), lambda folder: digests(folder / "run.gate.json")),
         "rollouts": Work(
             rolling_out(trained, ring_data),
@@ -213,7 +253,7 @@ def survive(work, folder, kills, draw):
     return sent
 
 
-@pytest.mark.parametrize("name", ["record", "train"])
+@pytest.mark.parametrize("name", ["record", "train", "study"])
 def test_killed_work_finishes_as_if_nothing_had_happened(works, tmp_path, name):
     assert len(survive(works[name], tmp_path, 2, random.Random(5))) == 2
 
@@ -225,6 +265,7 @@ def test_killed_work_finishes_as_if_nothing_had_happened(works, tmp_path, name):
         ("record", 25),
         ("train", 25),
         ("sweep", 10),
+        ("study", 10),
         ("evaluate", 20),
         ("rollouts", 20),
         ("report", 15),

@@ -126,19 +126,16 @@ def _built(
     group: Group, runs: Sequence[SweepRun], outcome: dict[str, dict[str, Any]], stack: contextlib.ExitStack
 ) -> Iterator[tuple[str, Any]]:
     """The trainings that can go on; what cannot is written into ``outcome``."""
-    from dualhead_policy.training.arguments import parse_training_config
     from dualhead_policy.training.array_store import ArrayStore
-    from dualhead_policy.training.checkpoints import last_checkpoint
     from dualhead_policy.training.trainer import Training
 
     store = ArrayStore(group.output / ".windows")
+    parsed: dict[tuple[Any, ...], Any] = {}
     for run in runs:
         folder = group.output / run.name
         try:
             stack.enter_context(_claimed_soon(folder))
-            begun = last_checkpoint(folder) is not None
-            arguments = ["--resume=true"] if begun else list(run.arguments)
-            cfg = parse_training_config([*arguments, f"--output_dir={folder}"], None if begun else run.preset)
+            cfg = _configuration(run, folder, parsed)
             training = Training(cfg, fresh_paths=run.fresh_paths and not cfg.resume)
         except (ValueError, OSError) as error:
             outcome[run.name] = {"state": "failed", "error": str(error)}
@@ -149,6 +146,31 @@ def _built(
         training.save_at = frozenset(run.save_at)
         training.share_windows(store)
         yield run.name, training
+
+
+def _configuration(run: SweepRun, folder: Path, parsed: dict[tuple[Any, ...], Any]) -> Any:
+    """The configuration of a run, begun or new; new ones that differ in their seed alone are parsed once.
+
+    Args:
+        run: The run.
+        folder: Its folder.
+        parsed: Configurations parsed so far, by arguments but for the seed; grows.
+    """
+    import copy
+
+    from dualhead_policy.training.arguments import parse_training_config
+    from dualhead_policy.training.checkpoints import last_checkpoint
+    from dualhead_policy.training.run_folder import refuse_occupied
+
+    if last_checkpoint(folder) is not None:
+        return parse_training_config(["--resume=true", f"--output_dir={folder}"], None)
+    seedless = tuple(argument for argument in run.arguments if not argument.startswith("--seed="))
+    if (seedless, run.preset) not in parsed:
+        parsed[seedless, run.preset] = parse_training_config([*run.arguments, f"--output_dir={folder}"], run.preset)
+    refuse_occupied(folder)
+    cfg = copy.deepcopy(parsed[seedless, run.preset])
+    cfg.seed, cfg.output_dir = run.seed, folder
+    return cfg
 
 
 @contextlib.contextmanager

@@ -74,16 +74,28 @@ def plan_runs(runs: Sequence[SweepRun], output: Path, precision: str = "fp32") -
             if name not in ("output_dir", "job_name", "checkpoint_path", "wandb", "dataset", "num_workers")
         }
         signature = datasets[run.dataset]
-        policy = {name: value for name, value in content["policy"].items() if name != "device"}
-        identity = {
-            "training": content | {"policy": policy, "seed": run.seed},
-            "data": signature["data"],
-            "fresh": run.fresh_paths,
-            "precision": precision,
-        }
+        identity = run_identity(content | {"seed": run.seed}, signature["data"], run.fresh_paths, precision)
         key = [_structure(content), signature["shape"], run.fresh_paths, run.save_at]
         planned.append(PlannedRun(run, _digest(identity), _digest(key), content["steps"]))
     return planned
+
+
+def run_identity(training: Mapping[str, Any], data: str, fresh_paths: bool, precision: str) -> dict[str, Any]:
+    """What a run is: its configuration but for where it runs, its data, and the type in which it computes.
+
+    >>> one, other = ({"steps": 9, "policy": {"device": device}} for device in ("cpu", "cuda"))
+    >>> run_identity(one, "d", False, "fp32") == run_identity(other, "d", False, "fp32")
+    True
+    >>> run_identity(one, "d", False, "fp32") == run_identity(one, "d", False, "bf16")
+    False
+    """
+    policy = {name: value for name, value in training["policy"].items() if name != "device"}
+    return {
+        "training": {**training, "policy": policy},
+        "data": data,
+        "fresh": fresh_paths,
+        "precision": precision,
+    }
 
 
 def dataset_signature(root: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from dualhead_policy.training.arguments import parse_training_config
 from dualhead_policy.training.checkpoints import last_checkpoint, staged
 from dualhead_policy.training.sweep.group_commit import Commit, publish_group
 from dualhead_policy.training.sweep.group_training import Group, train_group
-from dualhead_policy.training.sweep.grouping import make_groups, plan_runs
+from dualhead_policy.training.sweep.grouping import make_groups, plan_runs, run_identity
 from dualhead_policy.training.sweep.manifest import continue_manifest, read_manifest
 from dualhead_policy.training.sweep.sweep_file import expand, read_sweep
 from dualhead_policy.training.trainer import Training
@@ -128,6 +128,21 @@ def test_another_configuration_under_the_same_name_is_refused(ring_data, tmp_pat
     other = planned(sweep_file(tmp_path, ring_data, flags=FLAGS | {"policy.optimizer_lr": 1e-4}))
     with pytest.raises(ValueError, match="run ring/lambda-1/seed-0 was begun with another configuration"):
         continue_manifest(manifest, other, size=16, jobs=1)
+
+
+def test_a_run_is_its_precision_but_not_its_device(ring_data, tmp_path):
+    path = sweep_file(tmp_path, ring_data)
+    sweep = read_sweep(path)
+    runs = expand(sweep)
+    fp32, bf16 = (plan_runs(runs, tmp_path / "out", precision) for precision in ("fp32", "bf16"))
+    assert not {run.fingerprint for run in fp32} & {run.fingerprint for run in bf16}
+    assert [run.stacking_key for run in fp32] == [run.stacking_key for run in bf16]
+    training = {"steps": 12, "policy": {"device": "cpu", "token": None}}
+    elsewhere = training | {"policy": {"device": "cuda", "token": None}}
+    other = training | {"policy": {"device": "cpu", "token": "oracle"}}
+    here = run_identity(training, "data", False, "fp32")
+    assert run_identity(elsewhere, "data", False, "fp32") == here
+    assert run_identity(other, "data", False, "fp32") != here
 
 
 def test_more_seeds_join_in_groups_of_their_own(ring_data, tmp_path):
