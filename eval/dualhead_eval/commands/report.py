@@ -35,7 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--figures", type=Path, metavar="FOLDER", help="also draw every figure (region, forest, heat map, ...)"
     )
     parser.add_argument(
-        "--html", type=Path, metavar="FILE.html", help="also write one self-contained page with everything"
+        "--output",
+        "--html",
+        dest="html",
+        type=Path,
+        metavar="FILE.html",
+        help="also write one self-contained page with everything, which needs no network",
     )
     parser.add_argument(
         "--paper",
@@ -121,5 +126,5 @@ def _write(report: Report, args: argparse.Namespace) -> Iterator[Path]:
             write_bytes(args.figures / f"{name}.png", png)
         yield args.figures
     if args.html is not None:
-        write_text(args.html, report_page(report, figures))
+        write_text(args.html, report_page(report, figures, normalised=args.normalised))
         yield args.html

@@ -44,7 +44,7 @@ class Occupancy(Enum):
     FLOOR = ("I", "uncoordinated", "", "the heads choose modes independently")
     ORIGIN = ("II", "collapsed", "", "the heads agree because they barely vary")
     INTERIOR = ("III", "coordinated", "in part", "the heads agree more than chance, less than they could")
-    CORNER = ("IV", "coordinated", "in full", "the heads choose the same mode and keep both modes alive")
+    CORNER = ("IV", "coordinated", "in full", "the heads choose the same mode and keep every mode alive")
     NEGATIVE = ("-", "anti-coordinated", "", "the heads avoid each other's mode")
     UNKNOWN = ("?", "insufficient", "", "too few valid pairs for any effect")
 

@@ -26,6 +26,26 @@ ROLLOUTS_SUFFIX = ".rollouts.json"
 
 
 @dataclass(frozen=True)
+class ModeOutcome:
+    """What became of the episodes whose path was of one mode.
+
+    Attributes:
+        mode: The mode, -1 for none.
+        episodes: Episodes of it.
+        successes: Those that ended in success.
+    """
+
+    mode: int
+    episodes: int
+    successes: int
+
+    @property
+    def success_interval(self) -> Interval:
+        """95% interval of the success rate among them (Wilson 1927); 0 to 1 without any."""
+        return wilson_interval(self.successes, self.episodes)
+
+
+@dataclass(frozen=True)
 class ClosedLoop:
     """Outcomes of closed-loop episodes from initial states that no demonstration began from.
 
@@ -36,6 +56,7 @@ class ClosedLoop:
         successes: Episodes that ended in success.
         collisions: Episodes that ended in a collision.
         refusals: One sentence per episode that ended because a decision was refused; they count as failures.
+        modes: The same, mode by mode, and last for the episodes of no mode.
     """
 
     env_id: str
@@ -44,6 +65,7 @@ class ClosedLoop:
     successes: int
     collisions: int
     refusals: tuple[str, ...] = ()
+    modes: tuple[ModeOutcome, ...] = ()
 
     @property
     def success_rate(self) -> float:
@@ -53,8 +75,7 @@ class ClosedLoop:
     @property
     def success_interval(self) -> Interval:
         """95% interval of the success rate (Wilson 1927)."""
-        bounds = binomtest(self.successes, self.episodes).proportion_ci(0.95, method="wilson")
-        return Interval(float(bounds.low), float(bounds.high), 0.95)
+        return wilson_interval(self.successes, self.episodes)
 
     def __str__(self) -> str:
         low, high = self.success_interval.low, self.success_interval.high
@@ -63,6 +84,14 @@ class ClosedLoop:
             f"[{low:.1%}, {high:.1%}], collision {self.collisions} of {self.episodes}"
             + (f", refused {len(self.refusals)} of {self.episodes}" if self.refusals else "")
         )
+
+
+def wilson_interval(successes: int, trials: int) -> Interval:
+    """95% interval of a share (Wilson 1927); 0 to 1 if there was no trial."""
+    if trials == 0:
+        return Interval(0.0, 1.0, 0.95)
+    bounds = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    return Interval(float(bounds.low), float(bounds.high), 0.95)
 
 
 def closed_loop_of(sidecar: Mapping[str, Any]) -> ClosedLoop | None:
@@ -82,7 +111,13 @@ def closed_loop_of(sidecar: Mapping[str, Any]) -> ClosedLoop | None:
             for number, outcome in enumerate(outcomes)
             if outcome.get("refused")
         ),
+        modes=tuple(_mode_outcome(outcomes, mode) for mode in (*range(sidecar["partition"]["n_modes"]), -1)),
     )
+
+
+def _mode_outcome(outcomes: Sequence[Mapping[str, Any]], mode: int) -> ModeOutcome:
+    own = [outcome for outcome in outcomes if outcome["mode"] == mode]
+    return ModeOutcome(mode, len(own), sum(outcome["success"] for outcome in own))
 
 
 def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:

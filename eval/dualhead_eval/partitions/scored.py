@@ -11,8 +11,8 @@ from dualhead_envs.validated_json import LONGEST_LABEL, shown
 from dualhead_eval.effects.counts import validate_labels
 from dualhead_eval.partitions.partition import Partition
 
-#: Names by which reports recognise our own environments' partitions, whose rows stand beside the paper's.
-TAKEN = ("ring", "bypass-v2", "rotating-v3", "labels")
+#: Names by which reports recognise our own environments' partitions, and which rows stand beside the paper's.
+TAKEN = ("ring", "bypass-v2", "bypass-v2-three-ways", "rotating-v3", "labels")
 
 
 class ScoredPartition:

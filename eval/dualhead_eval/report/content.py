@@ -24,7 +24,7 @@ from dualhead_eval.statistics.seeds import benjamini_hochberg
 from dualhead_eval.statistics.sensitivity import SensitivityCurve, curves
 
 #: Partition name to what an environment is called on the command line.
-ENVIRONMENTS = {"ring": "ring", "bypass-v2": "v2", "rotating-v3": "v3"}
+ENVIRONMENTS = {"ring": "ring", "bypass-v2": "v2", "bypass-v2-three-ways": "v2, three ways", "rotating-v3": "v3"}
 
 
 @dataclass(frozen=True)

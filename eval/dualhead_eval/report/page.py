@@ -1,98 +1,96 @@
-"""A report as one self-contained HTML page: every table, the figures, and where the numbers come from."""
+"""A report as one self-contained HTML page, in the order in which a person reads it.
+
+First the answer in two sentences, the attainable region and the effects; then what differs from the paper; then,
+folded, everything else, to the provenance of every run.
+"""
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from html import escape
 
+from dualhead_eval.report.answer import report_answer
 from dualhead_eval.report.content import Report
+from dualhead_eval.report.effects_table import effects_table
 from dualhead_eval.report.figures.figures import CAPTIONS
-from dualhead_eval.report.table import Cell, Table, printable
-from dualhead_eval.report.tables import paper_tables, report_tables
+from dualhead_eval.report.paper_tables import claims_table, differences_table
+from dualhead_eval.report.run_groups import RunGroup, group_runs
+from dualhead_eval.report.table import Table
+from dualhead_eval.report.tables import families_table, paper_tables, report_tables
+from dualhead_eval.report.web.frame import document, folded, pictures, section, text
+from dualhead_eval.report.web.html_table import Groups, render_table
+from dualhead_eval.report.web.region_svg import region_svg
 
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1400px; margin: 2em auto; padding: 0 1em; }
-h1 { font-size: 1.6em; } h2 { font-size: 1.2em; margin-top: 2.2em; }
-table { border-collapse: collapse; font-size: 0.88em; margin: 0.6em 0; width: max-content; }
-th, td { padding: 0.25em 0.7em; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }
-th { border-bottom: 2px solid #888; } td.text, th.text { text-align: left; }
-td.number { white-space: nowrap; } td.text { max-width: 34em; }
-td:first-child, th:first-child { position: sticky; left: 0; background: #fff; }
-td.warn { background: #fff3c4; } .wide { overflow-x: auto; } figure { margin: 1.2em 0; }
-figure img { max-width: 100%; } figcaption, .note { color: #555; font-size: 0.9em; }
-details { margin: 0.5em 0; } pre { font-size: 0.8em; background: #f6f6f6; padding: 0.8em; overflow-x: auto; }
-dl { display: grid; grid-template-columns: max-content auto; gap: 0.2em 1em; font-size: 0.9em; }
-dt { font-weight: bold; } dd { margin: 0; }
-"""
+QUESTION = "Do the heads choose modes together?"
+#: Runs beyond which they are folded where the means over their seeds stand above.
+_MANY = 30
 
 
-def report_page(report: Report, figures: Mapping[str, bytes]) -> str:
-    """The page as one string; images are embedded, nothing is fetched.
+def report_page(report: Report, figures: Mapping[str, bytes], *, normalised: bool | None = None) -> str:
+    """The page as one string; nothing in it is fetched.
 
     Args:
         report: What to say.
-        figures: PNG bytes by name, see :func:`dualhead_eval.report.figures.figures.report_figures`.
+        figures: PNG bytes by name, see :func:`dualhead_eval.report.figures.figures.report_figures`. The region is drawn
+            anew, so that it answers to a pointer.
+        normalised: Divide both axes of the region by 1 - 1/K. By default only when the runs differ in K.
     """
-    sections = [render_table(table) for table in report_tables(report)]
-    # The figures stand behind the first table, which says what they show.
-    if figures:
-        sections.insert(1, f"<h2>Figures</h2>\n{_figures(figures)}")
-    sections += [render_table(table) for table in paper_tables(report)]
+    shown: list[Table] = []
+    parts = [f"<h1>{text(QUESTION)}</h1>"]
     if report.runs:
-        sections.append(f"<h2>Where the numbers come from</h2>\n{_provenance(report)}")
-    body = "\n".join(sections)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>Coordination report</title><style>{_STYLE}</style></head>\n"
-        f"<body><h1>Coordination report</h1>\n{body}\n</body></html>\n"
-    )
-
-
-def render_table(table: Table) -> str:
-    """A table as HTML, all its columns, with what they mean underneath. Cells are text: their markup is escaped."""
-    parts = [f"<h2>{_text(table.title)}</h2>"]
-    if table.scope:
-        parts.append(f'<p class="note">{_text(table.scope)}</p>')
-    if table.rows:
-        head = "".join(f'<th class="{_kind(c.text)}">{_text(c.name)}</th>' for c in table.columns)
-        lines = [
-            "".join(_cell(cell, column.text) for cell, column in zip(row, table.columns, strict=True))
-            for row in table.rows
+        answer = report_answer(report)
+        parts += [f'<p class="answer">{text(answer.what)}</p>', f'<p class="answer">{text(answer.trust)}</p>']
+        parts.append(region_svg(report, normalised=normalised))
+        if (families := families_table(report)) is not None:
+            shown.append(families)
+            parts.append(render_table(families))
+        shown.append(effects := effects_table(report))
+        parts.append(_effects(report, effects))
+        shown += [differences := differences_table(report), claims := claims_table(report)]
+        parts += [
+            "<h2>What differs from the paper</h2>",
+            render_table(differences, level=3),
+            render_table(claims, level=3),
         ]
-        body = "".join(f"<tr>{line}</tr>\n" for line in lines)
-        parts.append(f'<div class="wide"><table><tr>{head}</tr>\n{body}</table></div>')
-    parts += [f'<p class="note">{_text(note)}</p>' for note in table.notes]
-    meanings = [*((column.name, column.meaning) for column in table.columns if column.meaning), *table.legend]
-    if table.rows and meanings:
-        items = "".join(f"<dt>{_text(name)}</dt><dd>{_text(meaning)}</dd>" for name, meaning in meanings)
-        parts.append(f"<dl>{items}</dl>")
-    return "\n".join(parts)
+    titles = {table.title for table in shown}
+    details = [table for table in (*report_tables(report), *paper_tables(report)) if table.title not in titles]
+    parts.append("<h2>Details</h2>")
+    parts += [section(table.title, render_table(table, level=None)) for table in details]
+    others = {name: png for name, png in figures.items() if name != "region"}
+    if others:
+        parts.append(section("Figures", pictures(others, CAPTIONS)))
+    if report.runs:
+        parts.append(section("Where the numbers come from", _provenance(report)))
+    return document("Coordination report", "\n".join(part for part in parts if part))
 
 
-def _text(content: str) -> str:
-    return escape(printable(content))
-
-
-def _kind(text: bool) -> str:
-    return "text" if text else "number"
-
-
-def _cell(cell: str | Cell, text: bool) -> str:
-    kind, content = (f"{_kind(text)} warn", cell.text) if isinstance(cell, Cell) else (_kind(text), cell)
-    return f'<td class="{kind}">{_text(content)}</td>'
-
-
-def _figures(figures: Mapping[str, bytes]) -> str:
-    parts = []
-    for name, png in figures.items():
-        data, caption = base64.b64encode(png).decode(), _text(CAPTIONS[name])
-        parts.append(
-            f'<figure><img alt="{caption}" src="data:image/png;base64,{data}">'
-            f"<figcaption>{caption}</figcaption></figure>"
+def _effects(report: Report, table: Table) -> str:
+    """The effects by group; folded where they are many and their means over seeds stand above."""
+    groups = group_runs(report.runs)
+    rows = dict(zip((id(pair) for pair in report.pairs), table.rows, strict=True))
+    together: Groups = [(_heading(group), _members(group, rows)) for group in groups]
+    if report.families and len(table.rows) > _MANY:
+        return section(
+            f"Every run and its effect ({len(table.rows)})", render_table(table, level=None, groups=together)
         )
-    return "\n".join(parts)
+    return render_table(replace(table, title="Every run and its effect"), groups=together)
+
+
+def _heading(group: RunGroup) -> str:
+    return group.label if len(group.runs) > 1 else ""
+
+
+def _members(group: RunGroup, rows: Mapping[int, tuple]) -> list[tuple]:
+    """The rows of a group; under a heading a run is named by what tells it from the others."""
+    lines = []
+    for run in group.runs:
+        for pair in run.pairs:
+            first, *others = rows[id(pair)]
+            star = "*" if str(first).endswith("*") else ""
+            lines.append((group.member(run) + star, *others) if len(group.runs) > 1 else (first, *others))
+    return lines
 
 
 def _provenance(report: Report) -> str:
@@ -100,6 +98,6 @@ def _provenance(report: Report) -> str:
     for run in report.runs:
         gate = run.gate
         facts = {"heads": list(gate.heads), "conditions": gate.n_conditions, "taus": gate.taus, "nfes": gate.nfes}
-        text = json.dumps(facts | gate.provenance, indent=1, default=str)
-        parts.append(f"<details><summary>{_text(run.name)}</summary><pre>{escape(text)}</pre></details>")
+        content = json.dumps(facts | gate.provenance, indent=1, default=str)
+        parts.append(folded(run.name, f"<pre>{escape(content)}</pre>"))
     return "\n".join(parts)

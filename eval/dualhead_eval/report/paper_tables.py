@@ -35,6 +35,43 @@ def sites_table(report: Report) -> Table:
     )
 
 
+def differences_table(report: Report) -> Table:
+    """The runs that lie at another site than the paper's row, or outside the spread of its seeds."""
+    differing = [c for c in report.sites if c.agrees is False or c.within_spread is False]
+    columns = (
+        Column("run", text=True),
+        Column("the paper's row", text=True),
+        Column(RHO),
+        Column("spread", f"where {RHO} of one more of the paper's seeds is expected (95%), in percent"),
+        Column("valid"),
+        Column("site", f"where the run lies in the attainable region ({_site_names()}; - negative, ? not assigned)"),
+        LOSS,
+        Column("departs in", "what of our training is not the paper's (sec:models)", text=True),
+    )
+    lines = tuple(
+        (
+            c.run.name,
+            c.paper_name + (" †" if c.contradicted else ""),
+            _both(c.run.first.rho, c.paper_value("rho"), "+.1%"),
+            "-" if c.spread is None else bounds(c.spread, "+.1%"),
+            _both(c.run.first.valid_rate, c.paper_value("valid_pair_rate"), ".3f"),
+            f"{c.site} / {c.paper_site}",
+            c.run.training.loss,
+            departures(c.run.training),
+        )
+        for c in differing
+    )
+    if not report.sites:
+        notes = _nothing(report)
+    elif not differing:
+        notes = (f"None of the {len(report.sites)} runs that have a row in the paper differs from it.",)
+    else:
+        notes = (f"{len(differing)} of {len(report.sites)} runs that have a row in the paper differ from it.",)
+        if any(c.contradicted for c in differing):
+            notes += ("† printed numbers of this row contradict each other, see the details",)
+    return Table("Runs at another site, or outside the spread of its seeds (ours / paper)", columns, lines, notes=notes)
+
+
 def _site_line(c: SiteComparison) -> tuple[str | Cell, ...]:
     s = c.run.first
     no = Cell("NO")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dualhead_eval.evaluation.rollouts import wilson_interval
 from dualhead_eval.report.content import Report
 from dualhead_eval.report.effects_table import effects_table
 from dualhead_eval.report.paper_tables import claims_table, comparisons_table, contradictions_table, sites_table
@@ -15,7 +16,7 @@ def report_tables(report: Report) -> list[Table]:
         tables = [effects_table(report), families_table(report), agreement_table(report)]
         tables += [residuals_table(report), residual_parts_table(report)]
     if report.loops:
-        tables.append(closed_loop_table(report))
+        tables += [closed_loop_table(report), closed_loop_modes_table(report)]
     return [table for table in tables if table is not None]
 
 
@@ -138,3 +139,25 @@ def closed_loop_table(report: Report) -> Table:
     return Table(
         "Closed loop", columns, tuple(lines), notes=("Outcomes of episodes: no threshold and no NFE enters them.",)
     )
+
+
+def closed_loop_modes_table(report: Report) -> Table | None:
+    """Which way recorded episodes took, and what became of them; None if no loop says."""
+    lines = []
+    for name, loop in report.loops:
+        for outcome in loop.modes:
+            share = outcome.episodes / loop.episodes
+            taken = with_bounds(share, wilson_interval(outcome.episodes, loop.episodes), ".1%")
+            rate = outcome.successes / outcome.episodes if outcome.episodes else float("nan")
+            success = with_bounds(rate, outcome.success_interval, ".1%")
+            mode = "none" if outcome.mode < 0 else str(outcome.mode)
+            lines.append((name, loop.control, mode, str(outcome.episodes), taken, success))
+    columns = (
+        Column("run", text=True),
+        Column("driving", text=True),
+        Column("mode", "of the episode's whole path; none: it reached no mode", text=True),
+        Column("episodes"),
+        Column("share [95%]", "of all episodes of the run"),
+        Column("success [95%]", "of the episodes of this mode; both with Wilson's interval"),
+    )
+    return Table("Closed loop, mode by mode", columns, tuple(lines)) if lines else None
