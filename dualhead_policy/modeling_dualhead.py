@@ -18,6 +18,7 @@ from torch import Tensor, distributed
 from dualhead_envs.recording.shards import write_atomically
 from dualhead_policy.checkpoint_loading import load_strictly
 from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.decision_hooks import DecisionHooks
 from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin, resolve_representation
 from dualhead_policy.fitting.scales import fit_scales
 from dualhead_policy.fitting.tokens import new_tokens
@@ -31,7 +32,7 @@ from dualhead_policy.flow.solver import condition_velocity, numpy_field, sample_
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.model_card import model_card
-from dualhead_policy.sampling import HeadSamples, SamplingCoupling
+from dualhead_policy.sampling import HeadSamples, SamplingCoupling, refuse_keywords
 
 #: Training steps between two measurements of what is logged beside the loss.
 MEASURE_EVERY = 200
@@ -44,6 +45,9 @@ class DualheadPolicy(PreTrainedPolicy):
         config: The configuration; fields left at None are resolved here and saved with the checkpoint.
         dataset_stats: Statistics of the training data, for a new policy.
         dataset_meta: Metadata of the training data, for a new policy: action names, and episodes for tokens.
+
+    Attributes:
+        decision_hooks, monitor_samples: Who is shown every closed-loop decision, and how many pairs.
 
     Raises:
         ValueError: If the data lack a dual action vector, have another layout than the configuration, or lack
@@ -84,6 +88,8 @@ class DualheadPolicy(PreTrainedPolicy):
         if is_new:
             self.model.kinematics.require()
         fit_scales(self.model, self.observation_keys, dataset_stats, dataset_meta)
+        self.decision_hooks = DecisionHooks()
+        self.monitor_samples = 1
         self.reset()
 
     # --- construction and loading ------------------------------------------------------------------------
@@ -295,6 +301,7 @@ class DualheadPolicy(PreTrainedPolicy):
         """Forget the queued actions and what the episode shares (called at every environment reset)."""
         self._queue: deque[Tensor] = deque()
         self._held = EpisodeDraws()
+        self.decision_hooks.begin()
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: Mapping[str, Tensor], **given: Any) -> Tensor:
@@ -306,9 +313,11 @@ class DualheadPolicy(PreTrainedPolicy):
         Raises:
             ValueError: If given one source noise, where the heads have one each.
         """
-        _refuse_keywords("predict_action_chunk", given)
+        refuse_keywords("predict_action_chunk", given)
         coupling = self._held.coupling(self.model, self._observation(batch))
-        return self.dual_chunk(self.sample(batch, 1, coupling=coupling))
+        samples = self.sample(batch, 1, coupling=coupling)
+        self.decision_hooks.show(self, batch, samples)
+        return self.dual_chunk(samples)
 
     def dual_chunk(self, samples: HeadSamples) -> Tensor:
         """The first of every condition's samples as dual action chunks (B, H, D), in physical units.
@@ -331,18 +340,9 @@ class DualheadPolicy(PreTrainedPolicy):
         Raises:
             ValueError: If given one source noise, where the heads have one each.
         """
-        _refuse_keywords("select_action", given)
+        refuse_keywords("select_action", given)
         self.eval()
         if not self._queue:
             chunk = self.predict_action_chunk(batch)
             self._queue.extend(chunk[:, : self.config.n_action_steps].unbind(1))
         return self._queue.popleft()
-
-
-def _refuse_keywords(method: str, given: Mapping[str, Any]) -> None:
-    for name, value in given.items():
-        if value is not None:
-            raise ValueError(
-                f"{method} got {name}=..., which a dualhead policy does not take: expected a batch alone; to choose "
-                "the noise of each head, call policy.sample(batch, 1, coupling=SamplingCoupling(source_noise=...))"
-            )

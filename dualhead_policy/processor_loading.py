@@ -18,9 +18,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from dualhead_envs.validated_json import Label, Schema, read_validated
+from dualhead_envs.dataset_sidecar import Count
+from dualhead_envs.validated_json import Label, Schema, read_json, read_validated, validated
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.hub_folder import file_inside
+from dualhead_policy.kinematics.robot_file import FILE_SCHEME
 from dualhead_policy.processor_dualhead import Processors
 
 PREPROCESSOR_FILE, POSTPROCESSOR_FILE = "policy_preprocessor.json", "policy_postprocessor.json"
@@ -73,6 +75,20 @@ class Unnormalize(Schema):
     state_file: Label
 
 
+class DisagreementOptions(Schema):
+    kinematic_map: Label
+    joint: tuple[Count, Count]
+    position: tuple[Count, Count]
+    decision_steps: Annotated[int, Field(ge=1, le=10_000)]
+    weight: Annotated[float, Field(gt=0, le=1)]
+    limit_mm: Annotated[float, Field(ge=0)]
+
+
+class Disagreement(Schema):
+    registry_name: Literal["disagreement_monitor"]
+    config: DisagreementOptions
+
+
 class Preprocessor(Schema):
     """``policy_preprocessor.json``."""
 
@@ -85,6 +101,13 @@ class Postprocessor(Schema):
 
     name: Literal["policy_postprocessor"]
     steps: tuple[Unnormalize, ToDevice]
+
+
+class WatchedPostprocessor(Schema):
+    """``policy_postprocessor.json`` with a monitor of the executed actions."""
+
+    name: Literal["policy_postprocessor"]
+    steps: tuple[Unnormalize, Disagreement, ToDevice]
 
 
 def load_processors(folder: Path, config: DualheadConfig) -> Processors:
@@ -101,9 +124,7 @@ def load_processors(folder: Path, config: DualheadConfig) -> Processors:
     pre = read_validated(
         file_inside(folder, PREPROCESSOR_FILE), Preprocessor, kind="a dual-head policy's preprocessor", remedy=REMEDY
     )
-    post = read_validated(
-        file_inside(folder, POSTPROCESSOR_FILE), Postprocessor, kind="a dual-head policy's postprocessor", remedy=REMEDY
-    )
+    post = _read_postprocessor(file_inside(folder, POSTPROCESSOR_FILE), config)
     for file, step in ((PREPROCESSOR_FILE, pre.steps[-1]), (POSTPROCESSOR_FILE, post.steps[0])):
         own = {FeatureType(key): mode for key, mode in config.normalization_mapping.items()}
         if step.config.norm_map != own:
@@ -116,6 +137,20 @@ def load_processors(folder: Path, config: DualheadConfig) -> Processors:
         pretrained_path=str(folder),
         preprocessor_overrides={"device_processor": {"device": config.device}},
     )
+
+
+def _read_postprocessor(path: Path, config: DualheadConfig) -> Postprocessor | WatchedPostprocessor:
+    document = read_json(path, kind="a dual-head policy's postprocessor", remedy=REMEDY)
+    steps = document.get("steps") if isinstance(document, dict) else None
+    watched = isinstance(steps, list) and len(steps) == 3
+    if not watched:
+        return validated(document, Postprocessor, source=str(path), remedy=REMEDY)
+    post = validated(document, WatchedPostprocessor, source=str(path), remedy=REMEDY)
+    named = post.steps[1].config.kinematic_map
+    own = None if config.representation is None else config.representation.kinematic_map
+    if named.startswith(FILE_SCHEME) or named != own:
+        raise ValueError(f"{path} watches the kinematic map {named!r}, expected the policy's own, {own!r}: {REMEDY}")
+    return post
 
 
 def _modes(norm_map: dict[FeatureType, NormalizationMode]) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -70,3 +70,17 @@ class Sampler(Protocol):
     ) -> HeadSamples:
         """Sample ``num_samples`` chunks per condition and head, in ``num_steps`` Euler steps."""
         ...
+
+
+def refuse_keywords(method: str, given: Mapping[str, Any]) -> None:
+    """Refuse what LeRobot passes to other policies' closed loop, such as one source noise for all heads.
+
+    Raises:
+        ValueError: If any of the keyword arguments is not None.
+    """
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f"{method} got {name}=..., which a dualhead policy does not take: expected a batch alone; to choose "
+                "the noise of each head, call policy.sample(batch, 1, coupling=SamplingCoupling(source_noise=...))"
+            )

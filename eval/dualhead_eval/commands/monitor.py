@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dualhead_eval.commands import monitor_study
+from dualhead_eval.commands import monitor_attach, monitor_study
 
 if TYPE_CHECKING:
     from dualhead_eval.monitor.decision import Episode
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit = actions.add_parser("fit", help="fit signals and thresholds on successful episodes")
     score = actions.add_parser("score", help="read recorded episodes with a fitted monitor")
     report = actions.add_parser("report", help="what the scores detect, as tables")
+    monitor_attach.add_arguments(actions.add_parser("attach", help="let unmodified LeRobot raise a monitor's alarms"))
     monitor_study.add_arguments(actions.add_parser("study", help="the registered experiment, start to verdict"))
     for action in (fit, score):
         action.add_argument("rollouts", nargs="+", type=Path, metavar="DIR", help="folders of recorded rollouts")
@@ -51,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit.add_argument("--alpha", type=float, default=0.05, help="rate of false alarms (default: 0.05)")
     fit.add_argument(
         "--train-data", type=Path, metavar="DIR", help="training split that signals of the observation learn from"
+    )
+    fit.add_argument(
+        "--executed-steps", type=int, default=8, help="steps of a chunk that residual_executed reads (default: 8)"
     )
     fit.add_argument("--only-successes", action="store_true", help="leave failed episodes out instead of refusing them")
     fit.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder of the monitor")
@@ -75,7 +79,13 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_policy.quiet import quiet_libraries
 
     quiet_libraries()
-    return {"fit": _fit, "score": _score, "report": _report, "study": monitor_study.run}[args.action](args)
+    return {
+        "fit": _fit,
+        "score": _score,
+        "report": _report,
+        "attach": monitor_attach.run,
+        "study": monitor_study.run,
+    }[args.action](args)
 
 
 def _fit(args: argparse.Namespace) -> int:
@@ -86,9 +96,15 @@ def _fit(args: argparse.Namespace) -> int:
     from dualhead_eval.monitor.monitor_file import save_monitor
     from dualhead_eval.monitor.recorded_episodes import training_decisions
     from dualhead_eval.monitor.signals.observation import LargestDeviation
+    from dualhead_eval.monitor.signals.registry import make_signal
+    from dualhead_eval.monitor.signals.residual import ExecutedResidual
 
     refuse_occupied(args.output)
-    monitor = Monitor(args.signals, args.aggregator, args.threshold)
+    made = [
+        make_signal(name, **({"steps": args.executed_steps} if name == ExecutedResidual.name else {}))
+        for name in args.signals
+    ]
+    monitor = Monitor(made, args.aggregator, args.threshold)
     recordings = _open(args)
     episodes = [episode for recorded in recordings for episode in _episodes(args, recorded)]
     kept = [episode for episode in episodes if episode.success or not args.only_successes]

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from dualhead_eval.monitor.decision import Decision
 from dualhead_eval.monitor.signals.signal import Signal, stacked_observations
+from dualhead_policy.processor_dualhead import OBSERVATION_STD_FLOOR
 
-#: Standard deviation below which a dimension counts as constant, relative to the larger of 1 and its mean.
-CONSTANT = 1e-6
+#: Standard deviation below which a dimension counts as constant, in its own unit (m, rad, 1): that below which the
+#: policy does not scale an observation either (the hand's tilt in the demonstrations, single precision's error).
+CONSTANT = OBSERVATION_STD_FLOOR
 
 
 class LargestDeviation(Signal):
@@ -27,7 +29,7 @@ class LargestDeviation(Signal):
         """Take mean and standard deviation (n - 1) of every dimension."""
         observations = stacked_observations(decisions)
         self.mean, scale = observations.mean(axis=0), observations.std(axis=0, ddof=min(1, len(observations) - 1))
-        self.scale = np.where(scale > CONSTANT * np.maximum(1, np.abs(self.mean)), scale, np.inf)
+        self.scale = np.where(scale >= CONSTANT, scale, np.inf)
         if not np.isfinite(self.scale).any():
             raise ValueError("max_abs_z found no dimension that varies, expected observations of several states")
 

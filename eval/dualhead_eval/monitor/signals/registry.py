@@ -10,13 +10,20 @@ from dualhead_eval.monitor.signals.ensemble import ActionDistance, VelocityField
 from dualhead_eval.monitor.signals.entropy import JointEntropy, PositionEntropy
 from dualhead_eval.monitor.signals.labels import Diverged, Elapsed, Invalid, Mismatch
 from dualhead_eval.monitor.signals.observation import LargestDeviation
-from dualhead_eval.monitor.signals.residual import EnergyResidual, MatchedResidual, Residual, ResidualMean
+from dualhead_eval.monitor.signals.residual import (
+    EnergyResidual,
+    ExecutedResidual,
+    MatchedResidual,
+    Residual,
+    ResidualMean,
+)
 from dualhead_eval.monitor.signals.signal import Signal
 from dualhead_eval.monitor.signals.temporal import ChunkConsistency, JointConsistency, PositionConsistency, Tracking
 from dualhead_eval.monitor.signals.variance import JointVariance, PositionVariance
 
 _CLASSES: tuple[type[Signal], ...] = (
     Residual,
+    ExecutedResidual,
     ResidualMean,
     MatchedResidual,
     EnergyResidual,

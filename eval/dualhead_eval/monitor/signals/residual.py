@@ -27,6 +27,31 @@ class Residual(Signal):
         return float(1000.0 * np.sqrt(np.einsum("hd,hd->h", difference, difference)).mean())
 
 
+class ExecutedResidual(Signal):
+    """The residual over the executed steps alone, which is all that a processor step in LeRobot sees.
+
+    Args:
+        steps: Executed steps of a chunk, the policy's ``n_action_steps``.
+    """
+
+    name, unit, needs = "residual_executed", "mm", frozenset({"pairs"})
+
+    def __init__(self, steps: int = 8) -> None:
+        if steps < 1:
+            raise ValueError(f"steps={steps}, expected at least 1")
+        self.steps = steps
+
+    def score(self, decision: Decision) -> float:
+        """Mean distance over the executed steps, in mm."""
+        a, b = decision.pair
+        difference = a[0, : self.steps] - b[0, : self.steps]
+        return float(1000.0 * np.sqrt(np.einsum("hd,hd->h", difference, difference)).mean())
+
+    def options(self) -> dict[str, int]:
+        """How many steps."""
+        return {"steps": self.steps}
+
+
 class ResidualMean(Signal):
     """mean_i D(a_i, b_i): the residual averaged over the sampled pairs."""
 

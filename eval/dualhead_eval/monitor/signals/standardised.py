@@ -37,7 +37,7 @@ class StandardisedNetworks(Signal):
         """Standardise the observations and train."""
         observations = stacked_observations(decisions)
         self.mean, scale = observations.mean(axis=0), observations.std(axis=0)
-        self.scale = np.where(scale > CONSTANT * np.maximum(1, np.abs(self.mean)), scale, 1.0)
+        self.scale = np.where(scale >= CONSTANT, scale, 1.0)
         rows = torch.from_numpy((observations - self.mean) / self.scale).float()
         generator = torch.Generator().manual_seed(int(rng.integers(2**63 - 1)))
         self.layers = self.train(rows, generator)
