@@ -18,7 +18,7 @@ FOLDERS = {
 #: The rooms of each package, in the order of the pipeline: a module imports its own room and those above it.
 ROOMS = {
     "dualhead_envs": [
-        "atomic_files", "validated_json", "worker_processes", "space_tables", "layout", "dataset_sidecar",
+        "atomic_files", "validated_json", "worker_processes", "space_tables", "ribbon", "layout", "dataset_sidecar",
         "dataset_columns", "dataset_frames", "recorded_environment", "registration", "lerobot_config", "recording",
         "ring", "bypass", "lerobot_envs", "record", "record_command",
     ],

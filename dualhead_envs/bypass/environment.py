@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -14,9 +14,10 @@ from dualhead_envs.bypass.outcome import CubeFate
 from dualhead_envs.bypass.partition import BypassPartition
 from dualhead_envs.bypass.perturbations.episode import PerturbedEpisode
 from dualhead_envs.bypass.perturbations.perturbation import parse_perturbation
-from dualhead_envs.bypass.simulation import PandaSimulation
+from dualhead_envs.bypass.simulation import PandaSimulation, observed_positions
 from dualhead_envs.bypass.task import BypassTask
 from dualhead_envs.layout import Layout
+from dualhead_envs.ribbon import Ribbon
 
 #: Steps after which an episode is truncated; a demonstration takes about 200.
 MAX_EPISODE_STEPS = 300
@@ -165,24 +166,44 @@ class BypassEnv(gym.Env):
         if self.render_mode is None:
             gym.logger.warn("render() was called without a render_mode: pass render_mode='rgb_array' to gym.make")
             return None
-        return self._picture()
+        return self.picture()
+
+    def picture(self, ribbons: Sequence[Ribbon] = ()) -> np.ndarray:
+        """What :meth:`render` shows, under any render_mode, with predicted paths (H, 3) of the grip site drawn too.
+
+        Raises:
+            RuntimeError: If no OpenGL library can be used; the sentence says what to install.
+            ValueError: If a ribbon has another shape.
+            gymnasium.error.ResetNeeded: If there is no episode to show.
+        """
+        if self._initial is None:
+            raise gym.error.ResetNeeded("there is no episode to show: call reset() before render()")
+        simulation = self.simulation
+        return self._scene().render(simulation.data.qpos, simulation.obstacle_position, simulation.goal, ribbons)
+
+    def picture_of(self, observation: Mapping[str, np.ndarray], ribbons: Sequence[Ribbon] = ()) -> np.ndarray:
+        """The scene that an observation describes, whatever the episode, with predicted paths (H, 3) drawn too.
+
+        Raises:
+            RuntimeError: If no OpenGL library can be used; the sentence says what to install.
+            ValueError: If a ribbon has another shape.
+        """
+        agent, state = (np.asarray(observation[key], dtype=np.float64) for key in ("agent_pos", "environment_state"))
+        return self._scene().render(observed_positions(agent, state), state[12:15], state[9:12], ribbons)
+
+    def _scene(self) -> Any:
+        if self._renderer is None:
+            from dualhead_envs.bypass.rendering import SceneRenderer
+
+            height, width = self._image_size
+            self._renderer = SceneRenderer(self.bypass, width, height, self._camera)
+        return self._renderer
 
     def close(self) -> None:
         """Give the OpenGL context back, if one was opened."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-    def _picture(self) -> np.ndarray:
-        if self._initial is None:
-            raise gym.error.ResetNeeded("there is no episode to show: call reset() before render()")
-        if self._renderer is None:
-            from dualhead_envs.bypass.rendering import SceneRenderer
-
-            height, width = self._image_size
-            self._renderer = SceneRenderer(self.bypass, width, height, self._camera)
-        simulation = self.simulation
-        return self._renderer.render(simulation.data.qpos, simulation.obstacle_position, simulation.goal)
 
     def _begin(self, initial: InitialState, key: int | None = None) -> None:
         """Start the episode of ``initial`` and the perturbation's ``key``, which is drawn by default."""
@@ -301,7 +322,7 @@ class BypassEnv(gym.Env):
         }  # fmt: skip
         self._perturbed.observe(observation["agent_pos"], observation["environment_state"], self._steps)
         if self._pixels:
-            observation["pixels"] = self._picture()
+            observation["pixels"] = self.picture()
         return observation
 
 

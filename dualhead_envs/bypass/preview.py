@@ -66,10 +66,10 @@ def _replayed(env: BypassEnv, demonstration: Demonstration, steps: set[int]) -> 
     pictures = []
     for step, action in enumerate(demonstration.actions()):
         if step in steps:
-            pictures.append(env._picture())
+            pictures.append(env.picture())
         if env.step(action[indices])[2]:
             break
-    pictures.append(env._picture())
+    pictures.append(env.picture())
     return pictures
 
 

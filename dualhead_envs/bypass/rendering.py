@@ -7,6 +7,7 @@ import ctypes
 import os
 import platform
 import weakref
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from dualhead_envs.bypass.physics_engine import mujoco
 from dualhead_envs.bypass.scene import GOAL_SITE, OBSTACLE_BODY, SHADOW_SITE, load_scene
 from dualhead_envs.bypass.task import BypassTask
+from dualhead_envs.ribbon import Ribbon, drawable
 
 _LIBRARIES = {"egl": ("libEGL.so.1", "libEGL.so"), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}
 _PACKAGES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}
@@ -22,6 +24,11 @@ _NEXT_STEP = (
     f"on Debian or Ubuntu `apt-get install {_PACKAGES['egl']}` and set MUJOCO_GL=egl, or "
     f"`apt-get install {_PACKAGES['osmesa']}` and set MUJOCO_GL=osmesa; without pictures no OpenGL is needed"
 )
+
+#: Radius of a ribbon of usual width (m), of a bead relative to it, and how much of its colour shines by itself.
+_RIBBON_RADIUS, _BEAD, _GLOW = 0.0022, 1.7, 0.6
+#: Objects of a picture at most: the scene has about a hundred, a pair of chunks 31.
+_MOST_OBJECTS = 5000
 
 
 def _is_installed(backend: str) -> bool:
@@ -84,7 +91,7 @@ class SceneRenderer:
             raise RuntimeError(f"OpenGL through {backend} failed ({error}): {_NEXT_STEP}") from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
         self._data = mujoco.MjData(self._model)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=1000)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=_MOST_OBJECTS)
         # Half the time of a frame, and nothing that a viewer would miss.
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
@@ -97,8 +104,18 @@ class SceneRenderer:
             atexit.register(_close_all)
         _open.add(self)
 
-    def render(self, qpos: np.ndarray, obstacle: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    def render(
+        self, qpos: np.ndarray, obstacle: np.ndarray, goal: np.ndarray, ribbons: Sequence[Ribbon] = ()
+    ) -> np.ndarray:
         """The scene at generalised positions ``qpos`` (16,), with obstacle and goal at (3,) m.
+
+        Ribbons are objects of the scene: what stands before them hides them.
+
+        Args:
+            qpos: Generalised positions.
+            obstacle: Centre of the obstacle.
+            goal: Centre of the goal.
+            ribbons: Paths (H, 3) m to draw too.
 
         Returns:
             RGB (height, width, 3) uint8.
@@ -116,10 +133,31 @@ class SceneRenderer:
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene
         )
+        for ribbon in drawable(ribbons, 3):
+            self._add(ribbon)
         mujoco.mjr_render(self._viewport, self._scene, self._renderer)
         picture = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
         mujoco.mjr_readPixels(picture, None, self._viewport, self._renderer)
         return picture[::-1].copy()
+
+    def _add(self, ribbon: Ribbon) -> None:
+        """Append the ribbon's capsules, or beads, to the scene that was just built."""
+        rgba = np.array([*(channel / 255 for channel in ribbon.color), ribbon.opacity], dtype=np.float32)
+        radius = _RIBBON_RADIUS * ribbon.width
+        points = ribbon.points.astype(np.float64)
+        shape = mujoco.mjtGeom.mjGEOM_SPHERE if ribbon.beads else mujoco.mjtGeom.mjGEOM_CAPSULE
+        size = np.full(3, _BEAD * radius if ribbon.beads else radius)
+        for index in range(len(points) if ribbon.beads else len(points) - 1):
+            if self._scene.ngeom == self._scene.maxgeom:
+                raise ValueError(
+                    f"the ribbons need more than the {self._scene.maxgeom} objects of a picture: draw fewer"
+                )
+            geom = self._scene.geoms[self._scene.ngeom]
+            mujoco.mjv_initGeom(geom, shape, size, points[index], np.eye(3).ravel(), rgba)
+            if not ribbon.beads:
+                mujoco.mjv_connector(geom, shape, radius, points[index], points[index + 1])
+            geom.category, geom.emission = mujoco.mjtCatBit.mjCAT_DECOR, _GLOW
+            self._scene.ngeom += 1
 
     def close(self) -> None:
         """Give the GL context back."""

@@ -190,3 +190,18 @@ class PandaSimulation:
         self._set_gripper(float(state[-2]))
         self.touched = bool(state[-1])
         self.update_kinematics()
+
+
+def observed_positions(agent: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """Generalised positions (16,) of what an observation shows: seven joints, two fingers, the cube's pose.
+
+    Args:
+        agent: ``agent_pos``: joints first, the opening between the fingers last.
+        state: ``environment_state``: the cube's position and the first two columns of its rotation first.
+    """
+    first, second = state[3:6], state[6:9]
+    rotation = np.stack([first, second, np.cross(first, second)], axis=1)
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    finger = agent[-1] / 2
+    return np.concatenate([agent[:7], [finger, -finger], state[:3], quaternion])

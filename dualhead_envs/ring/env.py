@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from dualhead_envs.ribbon import Ribbon
 from dualhead_envs.ring.geometry import HORIZON
 from dualhead_envs.ring.layout import ring_layout
 from dualhead_envs.ring.task import RingTask
@@ -140,11 +142,26 @@ class RotatingRingEnv(gym.Env):
         if self.render_mode is None:
             gym.logger.warn("render() was called without a render_mode: pass render_mode='rgb_array' to gym.make")
             return None
+        return self.picture()
+
+    def picture(self, ribbons: Sequence[Ribbon] = ()) -> np.ndarray:
+        """What :meth:`render` shows, under any render_mode, with predicted paths (H, 2) drawn too.
+
+        Raises:
+            ValueError: If a ribbon has another shape.
+            gymnasium.error.ResetNeeded: If there is no episode to show.
+        """
         if self._condition is None:
             raise gym.error.ResetNeeded("there is no episode to show: call reset() before render()")
         from dualhead_envs.ring.rendering import draw_ring
 
-        return draw_ring(self._path[: self._steps], self._condition, self.mode_partition)
+        return draw_ring(self._path[: self._steps], self._condition, self.mode_partition, ribbons)
+
+    def picture_of(self, observation: Mapping[str, np.ndarray], ribbons: Sequence[Ribbon] = ()) -> np.ndarray:
+        """The ring of an observation at its start, whatever the episode, with predicted paths (H, 2) drawn too."""
+        from dualhead_envs.ring.rendering import draw_ring
+
+        return draw_ring(np.empty((0, 2)), observation["environment_state"], self.mode_partition, ribbons)
 
     def _position(self) -> np.ndarray:
         return self._path[self._steps - 1].copy() if self._steps else np.zeros(2, dtype=np.float32)

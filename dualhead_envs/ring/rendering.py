@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from dualhead_envs.ribbon import Ribbon, drawable, mode_color
 from dualhead_envs.ring import geometry
 from dualhead_envs.ring.partition import RingPartition
 
@@ -13,26 +16,18 @@ _OVERSAMPLE = 2  # drawn larger, then averaged: Pillow's shapes have no smooth e
 _HALF_WIDTH = 1.75  # metres from the centre to the image's edge
 
 _PAPER, _INK, _RULE = (252, 251, 248), (45, 48, 56), (205, 204, 198)
-# Okabe and Ito's colours, which the colour-blind can tell apart.
-_MODES = (
-    (0, 114, 178),
-    (213, 94, 0),
-    (0, 158, 115),
-    (204, 121, 167),
-    (86, 180, 233),
-    (230, 159, 0),
-    (148, 103, 189),
-    (110, 110, 110),
-)
 
 
-def draw_ring(path: np.ndarray, condition: np.ndarray, partition: RingPartition) -> np.ndarray:
+def draw_ring(
+    path: np.ndarray, condition: np.ndarray, partition: RingPartition, ribbons: Sequence[Ribbon] = ()
+) -> np.ndarray:
     """Draw the ring, its modes and ``path``, coloured by the mode that ``partition`` gives it so far.
 
     Args:
         path: Points so far (T, 2) in metres; the agent started at the origin.
         condition: ``(cos theta, sin theta, r)``.
         partition: Gives the modes' directions, the threshold and the label.
+        ribbons: Predicted paths to draw too.
 
     Returns:
         RGB image (480, 480, 3) uint8, x to the right and y upwards.
@@ -46,7 +41,7 @@ def draw_ring(path: np.ndarray, condition: np.ndarray, partition: RingPartition)
     _circle(draw, (0, 0), radius, outline=_RULE, width=3)
     _circle(draw, (0, 0), partition.tau * radius, outline=_RULE, width=1)
     for k, direction in enumerate(directions):
-        colour = _MODES[k % len(_MODES)]
+        colour = mode_color(k)
         centre = radius * direction
         draw.line([_pixel((0, 0)), _pixel(centre)], fill=_blend(colour, 0.25), width=_OVERSAMPLE)
         # One and two standard deviations of the expert's paths at their apex.
@@ -54,7 +49,9 @@ def draw_ring(path: np.ndarray, condition: np.ndarray, partition: RingPartition)
         _circle(draw, centre, geometry.PATH_SPREAD, fill=_blend(colour, 0.35 if k != label else 0.8))
         draw.text(_pixel(centre + 0.27 * direction), str(k), fill=colour, font=_font(15), anchor="mm")
 
-    colour = _MODES[label % len(_MODES)] if label >= 0 else _INK
+    for ribbon in drawable(ribbons, 2):
+        _draw_ribbon(draw, ribbon)
+    colour = mode_color(label) if label >= 0 else _INK
     points = np.vstack([np.zeros((1, 2)), path]).clip(-2 * _HALF_WIDTH, 2 * _HALF_WIDTH)
     draw.line([_pixel(p) for p in points], fill=colour, width=3 * _OVERSAMPLE, joint="curve")
     for point in points[:-1]:
@@ -66,6 +63,17 @@ def draw_ring(path: np.ndarray, condition: np.ndarray, partition: RingPartition)
     draw.text((left * _OVERSAMPLE, top * _OVERSAMPLE), f"step {len(path)}/{geometry.HORIZON}", _INK, _font(15), "lm")
     draw.text((right * _OVERSAMPLE, top * _OVERSAMPLE), verdict, colour, _font(15), "rm")
     return np.asarray(image.resize((SIZE, SIZE), Image.Resampling.BOX)).copy()
+
+
+def _draw_ribbon(draw: ImageDraw.ImageDraw, ribbon: Ribbon) -> None:
+    colour, points = _blend(ribbon.color, ribbon.opacity), ribbon.points.clip(-2 * _HALF_WIDTH, 2 * _HALF_WIDTH)
+    if ribbon.beads:
+        for point in points:
+            _circle(draw, point, 0.016 * ribbon.width, fill=colour)
+    else:
+        draw.line(
+            [_pixel(p) for p in points], fill=colour, width=round(1.5 * ribbon.width) * _OVERSAMPLE, joint="curve"
+        )
 
 
 def _pixel(point: np.ndarray | tuple[float, float]) -> tuple[float, float]:

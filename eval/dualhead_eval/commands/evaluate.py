@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands.console import open_console, refuse_overwrite
 from dualhead_eval.commands.own_task import OWN_USES, add_own_inputs, add_own_options
+from dualhead_eval.commands.pictures import add_picture_options, require_films, show_films, show_preview
 
 if TYPE_CHECKING:
     from dualhead_eval.evaluation.protocol import EvaluationProtocol
@@ -34,6 +35,8 @@ SERVES = {
     "tau": ("policy", "exact", "record", "rollouts", "columns"),
     "control": ("record",),
     "perturb": ("record",),
+    "video": ("record", "rollouts"),
+    "preview": ("policy", "exact"),
     "token": ("exact",),
     "token_replacement_prob": ("exact",),
     "consistency_weight": ("exact",),
@@ -49,7 +52,7 @@ or anyone's labels.
   dualhead evaluate --exact --dataset data/ring/test --output exact.gate.json
   dualhead evaluate --exact --consistency-weight 3 --source-noise-beta 0 --dataset data/v2/test --output G.gate.json
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --record data/rollouts --output loop.gate.json
-  dualhead evaluate --rollouts data/rollouts --output rollouts.gate.json
+  dualhead evaluate --rollouts data/rollouts --video films --output rollouts.gate.json
   dualhead evaluate --labels labels.csv --output mine.gate.json
   dualhead evaluate --columns prediction.a prediction.b --dataset D --partition side.json --output mine.gate.json
 
@@ -118,6 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KIND:SEVERITY",
         help="perturb the robot environment, e.g. joint_bias:0.06; joint_bias@2 is the second of its four levels",
     )
+    add_picture_options(parser)
     shared = parser.add_argument_group("what the heads share (default: as the policy was trained)")
     shared.add_argument("--source-noise-beta", type=float, metavar="B", help="1 private noise, 0 shared noise")
     shared.add_argument("--redraw-token", action="store_true", help="give each head a token of its own")
@@ -148,6 +152,7 @@ def run(args: argparse.Namespace) -> int:
         refuse_overwrite([args.output], overwrite=args.overwrite)
     if args.record is not None and not args.policy:
         raise ValueError("--record rolls out a policy: give --policy too")
+    refuse_overwrite([args.video, args.preview], overwrite=args.overwrite)
     given = [name for name in (*OWN_USES, "rollouts", "record", "exact") if getattr(args, name)]
     use = given[0] if given else "policy"
     _refuse_unused(args, use)
@@ -181,7 +186,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _refuse_for_several(args: argparse.Namespace) -> None:
     """Refuse what is for one policy."""
-    for option in ("record", "label", "update_card"):
+    for option in ("record", "label", "update_card", "preview"):
         if getattr(args, option):
             raise ValueError(
                 f"--{option.replace('_', '-')} is for one policy, {len(args.policy)} are given: leave it out, or "
@@ -265,6 +270,7 @@ def _sampled(args: argparse.Namespace) -> Gate:
         sampler = open_exact_reference(conditions, **options)
     else:
         sampler = open_policy(args.policy[0])
+    show_preview(args, sampler, conditions, protocol)
     with tqdm(total=len(conditions) * len(protocol.nfes), unit="condition", desc="sampling") as bar:
         gate = evaluate(sampler, conditions, protocol, _label(args), progress=bar.update)
     _write(gate, args)
@@ -276,7 +282,9 @@ def _sampled(args: argparse.Namespace) -> Gate:
 def _rollouts(args: argparse.Namespace) -> Gate:
     from dualhead_eval.evaluation.rollouts import rollout_gate
 
-    return _write(rollout_gate(args.rollouts, taus=args.tau, label=_label(args)), args)
+    gate = _write(rollout_gate(args.rollouts, taus=args.tau, label=_label(args)), args)
+    show_films(args)
+    return gate
 
 
 def _rolled_out(args: argparse.Namespace) -> Gate:
@@ -293,6 +301,8 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
         raise ValueError(
             f"--perturb has no meaning in {env_id}: leave it out, only the robot environments are perturbed"
         )
+    env_kwargs = {**env_kwargs, "control": args.control or "joint", **_given(args, perturbation="perturb")}
+    require_films(args, env_id, env_kwargs)
     policy, preprocess = load_policy(args.policy[0])
     episodes = EPISODES if args.episodes is None else args.episodes
     with tqdm(total=episodes, unit="episode", desc="rolling out", delay=1) as bar:
@@ -301,7 +311,7 @@ def _rolled_out(args: argparse.Namespace) -> Gate:
             preprocess,
             args.record,
             env_id=env_id,
-            env_kwargs={**env_kwargs, "control": args.control or "joint", **_given(args, perturbation="perturb")},
+            env_kwargs=env_kwargs,
             episodes=episodes,
             **_given(args, samples="samples", seed="seed"),
             provenance=policy_provenance(policy, policy_folder(args.policy[0])),

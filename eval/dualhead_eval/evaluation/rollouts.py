@@ -5,16 +5,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from scipy.stats import binomtest
 
-from dualhead_envs.dataset_sidecar import SIDECAR, read_rollout_sidecar
+from dualhead_envs.dataset_sidecar import read_rollout_sidecar
 from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, make_gate
 from dualhead_eval.gate.gate import ROLLOUTS, Gate
 from dualhead_eval.statistics.interval import Interval
@@ -150,64 +148,22 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
         FileNotFoundError: If there is no dataset.
         ValueError: If it holds no predictions of both heads, or does not say which pairs are held.
     """
-    # Reading outcomes alone, as a report does, needs none of these.
-    import torch
-
-    from dualhead_envs.dataset_columns import read_columns, read_info
-    from dualhead_eval.evaluation.conditions import environment_partition
-    from dualhead_policy.kinematics.kinematic_map import KinematicMap
+    from dualhead_eval.evaluation.recorded_decisions import read_decisions
 
     root = Path(root)
-    info, sidecar = read_info(root), read_rollout_sidecar(root / SIDECAR)
-    keys = ["prediction.joint", "prediction.position", "prediction.decision"]
-    missing = [key for key in keys if key not in info["features"]]
-    if missing:
-        raise ValueError(
-            f"{root} is not a dataset of recorded rollouts (lacks {missing}): record one with `dualhead evaluate "
-            "--policy ... --record DIR`"
-        )
-    columns = read_columns(root, info, [*keys, "observation.environment_state", "episode_index"])
-    decision = columns["prediction.decision"].reshape(-1).astype(bool)
-    if not decision.any():
-        raise ValueError(f"{root} holds no decision: expected prediction.decision to be true in some frames")
-    n, held, horizon = sidecar["samples"], sidecar.get("held_pairs"), sidecar["horizon"]
-    if held is None or held >= n:
-        raise ValueError(
-            f"{root / SIDECAR} has held_pairs={held} of samples={n}, expected how many pairs of a decision follow the "
-            "episode's token or latent, and fresh pairs beside them: record the rollouts again"
-        )
-    partition = environment_partition(sidecar["env_id"], sidecar["env_kwargs"], str(root))
-    if json.loads(json.dumps(partition.to_dict())) != sidecar["partition"]:
-        raise ValueError(
-            f"{root / SIDECAR} describes another partition than its environment has: record the rollouts again with "
-            "this version"
-        )
-
-    def chunks(key: str) -> np.ndarray:
-        values = columns[key][decision]
-        if values.shape[1] % (n * horizon) or not np.isfinite(values).all():
-            raise ValueError(
-                f"{root} holds {key} of {values.shape[1]} numbers or some that are not finite, expected {n} chunks of "
-                f"{horizon} actions: record the rollouts again"
-            )
-        return values.reshape(len(values), n, horizon, -1)[:, held:]
-
-    condition = columns["observation.environment_state"][decision]
-    joint = torch.from_numpy(chunks("prediction.joint")).double()
+    decisions = read_decisions(root)
+    sidecar, fresh = decisions.sidecar, slice(decisions.held, None)
     pairs = LabelledPairs.from_paths(
-        KinematicMap(sidecar["layout"]).position(joint).numpy(),
-        chunks("prediction.position").astype(np.float64),
-        condition,
-        partition,
+        decisions.joint[:, fresh], decisions.position[:, fresh], decisions.condition, decisions.partition
     )
     nfe = sidecar["num_inference_steps"]
     return make_gate(
         {nfe: pairs},
         reference_nfe=nfe,
         taus=taus,
-        conditions=condition,
-        pair_ids=columns["episode_index"][decision],
-        partition=partition,
+        conditions=decisions.condition,
+        pair_ids=decisions.episode,
+        partition=decisions.partition,
         target_probabilities=None,
         provenance={"label": label or root.name, "method": ROLLOUTS, "rollouts": sidecar},
     )

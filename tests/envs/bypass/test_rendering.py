@@ -26,6 +26,34 @@ assert (moved["pixels"] != observation["pixels"]).any()
 aside = gym.make("dualhead_envs:RotatingBypass-v3", pixels=True, image_size=(48, 64), perturbation="obstacle:0.1")
 assert (aside.reset(seed=0)[0]["pixels"] != observation["pixels"]).mean() > 0.01, "pictures show the moved obstacle"
 """
+RIBBONS = """
+import gymnasium as gym
+import numpy as np
+from dualhead_envs.ribbon import Ribbon
+env = gym.make("dualhead_envs:BimodalBypass-v2", image_size=(120, 120)).unwrapped
+observation, _ = env.reset(seed=0)
+plain = env.picture()
+def drawn(x, y, **options):
+    path = np.linspace([x, y - 0.05, 0.85], [x, y + 0.05, 0.85], 8)
+    picture = env.picture([Ribbon(path, (255, 0, 255), width=3.0, **options)]).astype(int)
+    magenta = np.minimum(picture[..., 0], picture[..., 2]) - picture[..., 1] > 100
+    return magenta.sum(), np.argwhere(magenta).mean(axis=0) if magenta.any() else None
+in_front, at = drawn(0.2, 0.0)
+assert in_front > 20
+assert drawn(0.2, 0.0, beads=True)[0] > 10
+assert drawn(0.0, 0.0)[0] == 0, "the wall hides what lies behind it"
+right = drawn(0.2, 0.2)[1]
+assert right[1] > at[1] + 10, "the robot's left is the picture's right"
+np.testing.assert_array_equal(env.picture(), plain)
+np.testing.assert_allclose(env.picture_of(observation).astype(int), plain, atol=3)
+for bad in (np.zeros((5, 2)), np.zeros(3)):
+    try:
+        env.picture([Ribbon(bad, (0, 0, 0))])
+    except ValueError as error:
+        assert "expected (H, 3) in metres" in str(error)
+    else:
+        raise AssertionError("taken")
+"""
 SENTENCE = """
 import gymnasium as gym
 env = gym.make("dualhead_envs:BimodalBypass-v2", render_mode="rgb_array")
@@ -59,6 +87,7 @@ def run(code, **environment):
 def test_each_library_that_is_there_makes_pictures_and_exits_quietly(backend):
     if _is_installed(backend):
         assert run(PICTURES, MUJOCO_GL=backend).stderr == ""
+        assert run(RIBBONS, MUJOCO_GL=backend).stderr == ""
     else:
         answer = run(SENTENCE, MUJOCO_GL=backend).stdout
         assert f"MUJOCO_GL={backend} asks for" in answer

@@ -1,0 +1,146 @@
+"""Films of recorded rollouts, with both heads' predictions drawn into the scene.
+
+At every decision the joint head's chunks are ribbons and the position head's are strings of beads, coloured by the
+mode that each reaches (grey: none). The pair whose chunk is executed is wide, the others are faint. A line beneath says
+whether the executed pair is in one mode, and how many of the decision's own draws are.
+
+The episodes are not recorded as pictures: they are repeated, from their seeds and actions, and compared with what was
+recorded.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from dualhead_envs.dataset_columns import read_columns, read_info
+from dualhead_envs.recorded_environment import make_recorded
+from dualhead_eval.atomic_text import write_bytes
+from dualhead_eval.evaluation.decision_pictures import Decided, decided, under_line
+from dualhead_eval.evaluation.recorded_decisions import RecordedDecisions, read_decisions
+
+#: Episodes that are filmed, as many as `lerobot-eval` renders.
+EPISODES = 10
+#: Side of the pictures in pixels.
+SIZE = 480
+#: Seconds that a film lasts at least: a ring's episode has 16 steps.
+_SHORTEST = 4.0
+#: Steps of an episode from which on every second one is shown: a picture of the robot takes longer than its step.
+_EVERY_SECOND = 40
+#: How far a repeated observation may be from the recorded one, in its units.
+_REPEATED = 1e-4
+
+
+def open_filmed(env_id: str, env_kwargs: Mapping[str, Any], source: str) -> gym.Env:
+    """The environment of a recording, ready to be pictured.
+
+    Raises:
+        ValueError: If there is no such environment, or pictures need an OpenGL that is not there.
+    """
+    size = {"image_size": (SIZE, SIZE)} if "Bypass" in env_id else {}
+    env = make_recorded(env_id, {**env_kwargs, "render_mode": "rgb_array", **size}, source)
+    env.reset(seed=0)
+    try:
+        env.unwrapped.picture()  # type: ignore[attr-defined]
+    except RuntimeError as error:
+        raise ValueError(f"a film needs pictures: {error}") from error
+    return env
+
+
+def film_rollouts(
+    root: str | Path, folder: str | Path, *, episodes: int = EPISODES, progress: Callable[[int], object] | None = None
+) -> list[Path]:
+    """Write a film ``episode_000.mp4`` of each of the first episodes of a rollout dataset.
+
+    Args:
+        root: The dataset, as ``dualhead evaluate --record`` writes it.
+        folder: Where the films go; it is created.
+        episodes: Episodes to film at most.
+        progress: Called with 1 after every film.
+
+    Raises:
+        FileNotFoundError: If there is no dataset.
+        ValueError: If it holds no rollouts, pictures need an OpenGL that is not there, or an episode does not repeat
+            itself under the installed version of the environment.
+    """
+    written = []
+    for number, frames, fps in rollout_frames(root, episodes=episodes):
+        path = Path(folder) / f"episode_{number:03}.mp4"
+        write_bytes(path, _encode(frames, fps))
+        written.append(path)
+        if progress is not None:
+            progress(1)
+    return written
+
+
+def rollout_frames(root: str | Path, *, episodes: int = EPISODES) -> Iterator[tuple[int, np.ndarray, int]]:
+    """Number, frames (T, height, width, 3) uint8 and frames per second of the first recorded episodes, one by one."""
+    root = Path(root)
+    decisions = read_decisions(root)
+    sidecar = decisions.sidecar
+    columns = read_columns(root, read_info(root), ["action", "observation.state", "episode_index"])
+    env = open_filmed(sidecar["env_id"], sidecar["env_kwargs"], str(root))
+    # An episode that was refused before its first step is not in the data.
+    seeds = [outcome["seed"] for outcome in sidecar["outcomes"] if outcome.get("frames") != 0]
+    for number, seed in enumerate(seeds[:episodes]):
+        frames = np.flatnonzero(columns["episode_index"].reshape(-1) == number)
+        stride = 1 if len(frames) < _EVERY_SECOND else 2
+        pictures = _repeat(env, decisions, columns, frames, seed, stride, str(root))
+        yield number, pictures, min(env.metadata["render_fps"] // stride, max(1, round(len(pictures) / _SHORTEST)))
+    env.close()
+
+
+def _repeat(
+    env: gym.Env,
+    decisions: RecordedDecisions,
+    columns: Mapping[str, np.ndarray],
+    frames: np.ndarray,
+    seed: int,
+    stride: int,
+    source: str,
+) -> np.ndarray:
+    """Pictures of one episode, by repeating it."""
+    bare: Any = env.unwrapped
+    executed = bare.layout.control_indices(decisions.sidecar["env_kwargs"]["control"])
+    at = dict(zip(decisions.frame.tolist(), range(len(decisions.frame)), strict=True))
+    observation, _ = env.reset(seed=seed)
+    pictures: list[np.ndarray] = []
+    shown = Decided([], "", [])
+    for step, frame in enumerate(frames.tolist()):
+        if not np.allclose(observation["agent_pos"], columns["observation.state"][frame], atol=_REPEATED):
+            raise ValueError(
+                f"{source} does not repeat itself: the episode of seed {seed} leaves its recording at step {step}; "
+                "record it again with the installed versions"
+            )
+        if frame in at:
+            shown = _decided(decisions, at[frame])
+        if step % stride == 0:
+            pictures.append(under_line(bare.picture(shown.ribbons), f"step {step}", shown.words, shown.heads))
+        observation, _, _, _, info = env.step(columns["action"][frame][executed])
+    end = "success" if info["is_success"] else "collision" if info["collision"] else "no success"
+    last = under_line(bare.picture(), f"step {len(frames)}", end, [])
+    return np.stack(pictures + [last] * max(1, len(pictures) // 8))
+
+
+def _decided(decisions: RecordedDecisions, index: int) -> Decided:
+    partition, condition = decisions.partition, decisions.condition[index]
+    return decided(decisions.joint[index], decisions.position[index], condition, partition, held=decisions.held)
+
+
+def _encode(frames: np.ndarray, fps: int) -> bytes:
+    """The frames as an MP4 that browsers play."""
+    import av
+
+    buffer = io.BytesIO()
+    with av.open(buffer, "w", format="mp4") as container:
+        stream: Any = container.add_stream("libx264", rate=fps, options={"crf": "23"})
+        stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    return buffer.getvalue()
