@@ -89,7 +89,8 @@ def run(args: argparse.Namespace) -> int:
     for line in missing_lines(verdict.missing):
         console.print(f"  {line}")
     if verdict.table is not None:
-        console.print(f"table:  {verdict.table}\nfigure: {verdict.figure}\ngates:  {folders.gates}")
+        figure = verdict.figure or "none, no seed can be read"
+        console.print(f"table:  {verdict.table}\nfigure: {figure}\ngates:  {folders.gates}")
     return 0
 
 

@@ -57,7 +57,7 @@ class StudyVerdict:
         grades: Its criteria.
         missing: Evaluations without a gate file.
         references: The exact references at hand.
-        table, figure: Files written; None where no gate is there.
+        table, figure: Its files; None where no gate is there, and no figure where no seed can be read.
     """
 
     cells: list[StudyCell]
@@ -88,13 +88,15 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
     grades = grade_study(study, cells, references.rho)
     table = figure = None
     if cells:
-        table, figure = folders.own / TABLE_FILE, folders.own / FIGURE_FILE
-        text = csv_text(study_rows(cells, references))
-        changed = _replace(table, text)
-        if changed or not figure.is_file():
-            from dualhead_eval.studies.study_figure import draw_study
+        table = folders.own / TABLE_FILE
+        changed = _replace(table, csv_text(study_rows(cells, references)))
+        # Where no seed can be read there is nothing to draw.
+        if any(cell.read for cell in cells):
+            figure = folders.own / FIGURE_FILE
+            if changed or not figure.is_file():
+                from dualhead_eval.studies.study_figure import draw_study
 
-            draw_study(cells, references, figure)
+                draw_study(cells, references, figure)
     return StudyVerdict(cells, grades, missing, references, table, figure)
 
 

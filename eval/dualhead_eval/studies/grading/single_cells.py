@@ -151,6 +151,8 @@ def shared_noise_law(gate: Gate) -> float | None:
     mechanism = mechanism_of(gate)
     if mechanism.environment != "testbed" or mechanism.n_modes != 2 or mechanism.beta != 0:
         return None
+    if mechanism.largest_prior > 0.5 + 1e-9:
+        return None
     chosen = REPRESENTATION_MAPS.get(mechanism.representation)
     if not isinstance(chosen, LinearMap):
         return None
