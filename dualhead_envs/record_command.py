@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ring.add_argument("--episodes", type=int, metavar="N", help="paths in train, instead of a preset")
     ring.add_argument("--conditions", type=int, metavar="N", help="conditions in val and in test (default: 75)")
     ring.add_argument("--bank-seed", type=int, metavar="N", help="seed of val and test (default: 0)")
-    ring.add_argument("--representation", help="head A: orthogonal (default), polar or nullspace")
+    ring.add_argument("--representation", help="head A: orthogonal (default), polar, nullspace, or a family's")
     ring.add_argument(
         "--mode-probabilities", type=float, nargs="+", metavar="P", help="skewed prior over modes, sums to 1"
     )

@@ -29,8 +29,8 @@ ROOMS = {
     ],
     "dualhead_eval": [
         "atomic_text", "exact_reference", "penalised_reference", "effects", "residuals", "gate", "statistics",
-        "certificate", "paper", "partitions", "evaluation", "ensembles", "monitor", "report", "studies", "commands",
-        "cli", "__main__",
+        "certificate", "paper", "partitions", "evaluation", "ensembles", "monitor", "report", "studies", "results_page",
+        "commands", "cli", "__main__",
     ],
 }  # fmt: skip
 #: Every package imports itself and those before it.

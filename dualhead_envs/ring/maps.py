@@ -7,11 +7,17 @@ work on the last axis, in float64, and return a position to itself.
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+_OVERLAP = re.compile(r"overlap([+]0|[+-][1-9]\d?)")
+_ROTATION = re.compile(r"rotation([+]0|[+-][1-9]\d{0,2})")
+_POLAR = re.compile(r"polar_([1-9]\d{0,2})_(0|[1-9]\d{0,2})")
 
 
 class RepresentationMap(Protocol):
@@ -79,6 +85,11 @@ def _reflection(phi: float) -> np.ndarray:
     return np.array([[math.cos(2 * phi), math.sin(2 * phi)], [math.sin(2 * phi), -math.cos(2 * phi)]])
 
 
+def _rotation(angle: float) -> np.ndarray:
+    """The rotation by ``angle`` radians: both heads' deciding projections correlate at its cosine."""
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
 def _lift(overlap: float) -> np.ndarray:
     """The 6 x 2 lift W = [overlap I; sqrt(1 - overlap^2) I; 0], for which W^T W = I."""
     return np.vstack([overlap * np.eye(2), math.sqrt(1 - overlap**2) * np.eye(2), np.zeros((2, 2))])
@@ -95,12 +106,53 @@ def _last_axis(values: ArrayLike, width: int, name: str) -> np.ndarray:
     return array
 
 
+class RepresentationMaps(Mapping[str, RepresentationMap]):
+    """The representation maps by name: the testbed's three, and families of which every member has a name of its own.
+
+    ``overlap+40`` is the null-space lift with overlap 0.40 (percent, -99 to 99), ``rotation+45`` the rotation by 45
+    degrees (-180 to 180), ``polar_70_60`` the polar map with exponent 0.70 and twist 0.60. Iteration is over the
+    testbed's three alone.
+
+    >>> maps = RepresentationMaps()
+    >>> list(maps), "overlap-35" in maps, "overlap+100" in maps
+    (['orthogonal', 'polar', 'nullspace'], True, False)
+    """
+
+    #: What a message says of the families.
+    FAMILIES = "overlap+40, rotation+45, polar_70_60 and their like"
+
+    def __init__(self) -> None:
+        named: list[RepresentationMap] = [
+            LinearMap("orthogonal", _reflection(phi=0.0)), PolarMap(), LinearMap("nullspace", _lift(overlap=-0.35)),
+        ]  # fmt: skip
+        self._named = {one.name: one for one in named}
+
+    def __getitem__(self, name: str) -> RepresentationMap:
+        found = self._named.get(name) or _family_member(name)
+        if found is None:
+            raise KeyError(name)
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._named)
+
+    def __len__(self) -> int:
+        return len(self._named)
+
+
+def _family_member(name: str) -> RepresentationMap | None:
+    """The member of a family that ``name`` is, None if it is none; each map has one name there."""
+    if match := _OVERLAP.fullmatch(name):
+        return LinearMap(name, _lift(int(match[1]) / 100))
+    if (match := _ROTATION.fullmatch(name)) and abs(int(match[1])) <= 180:
+        return LinearMap(name, _rotation(math.radians(int(match[1]))))
+    if match := _POLAR.fullmatch(name):
+        return PolarMap(name, exponent=int(match[1]) / 100, twist=int(match[2]) / 100)
+    return None
+
+
 #: Every representation by name; ``overlap`` of the null-space lift is -0.35.
-REPRESENTATION_MAPS: dict[str, RepresentationMap] = {
-    "orthogonal": LinearMap("orthogonal", _reflection(phi=0.0)),
-    "polar": PolarMap(),
-    "nullspace": LinearMap("nullspace", _lift(overlap=-0.35)),
-}
+REPRESENTATION_MAPS = RepresentationMaps()
 
 
 def representation_map(name: str) -> RepresentationMap:
@@ -111,6 +163,7 @@ def representation_map(name: str) -> RepresentationMap:
     """
     if name not in REPRESENTATION_MAPS:
         raise ValueError(
-            f"representation={name!r} is not one of {sorted(REPRESENTATION_MAPS)} for the ring: choose one of these"
+            f"representation={name!r} is not one of {sorted(REPRESENTATION_MAPS)} for the ring, nor of the families "
+            f"{REPRESENTATION_MAPS.FAMILIES}: choose one of these"
         )
     return REPRESENTATION_MAPS[name]

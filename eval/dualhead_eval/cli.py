@@ -17,8 +17,10 @@ COMMANDS = {
     "sweep": ("dualhead_eval.commands.sweep", "train configurations x datasets x seeds as few programs, resumable"),
     "study": ("dualhead_eval.commands.study", "run a study of the paper from its file to its verdict"),
     "evaluate": ("dualhead_eval.commands.evaluate", "sample a policy under test conditions into a gate file"),
+    "ensemble": ("dualhead_eval.commands.ensemble", "split what an ensemble's members disagree about by their modes"),
     "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
     "monitor": ("dualhead_eval.commands.monitor", "fit failure monitors on rollouts, score and report them"),
+    "info": ("dualhead_eval.commands.info", "print versions, environments and registered types"),
     "demo": ("dualhead_eval.commands.demo", "the whole pipeline in minutes: record, train, evaluate, report"),
 }
 #: Environment variable with which an unexpected error shows its traceback.

@@ -231,6 +231,7 @@ def _train_on(
                 batch = training.source.batch(stack.step)
                 logs[name].measure(training.policy.measure(batch.observation, batch.action, batch.token))
         stops = [every - stack.step % every for every in (MEASURE_EVERY, LOOK_EVERY, cfg.save_freq)]
+        stops += [at - stack.step for at in stack.trainings[0].save_at if at > stack.step]
         losses = stack.updates(min(*stops, cfg.steps - stack.step))
         wrong = _log(logs, list(running), losses, stack.step)
         if wrong:

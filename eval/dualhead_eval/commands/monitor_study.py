@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands.console import open_console
+
+if TYPE_CHECKING:
+    from dualhead_eval.studies.monitor.log_table import MonitorLog
+    from dualhead_eval.studies.monitor.study import MonitorStudy
 
 DESCRIPTION = """\
 Does coordinating the two heads take the residual's false alarms away without losing failures, or does matching do so
@@ -40,6 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--executor", type=Path, metavar="DIR", help="the trained policy that drives (default: train it)"
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time (default: 2)")
+    parser.add_argument("--only-grade", action="store_true", help="make nothing: grade what the folder holds")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="write what the verdicts need, small, into DIR too")
     parser.add_argument("--device", default="cpu", help="where arms are sampled (default: cpu)")
 
 
@@ -59,8 +65,11 @@ def run(args: argparse.Namespace) -> int:
             raise FileNotFoundError(f"--{name} {given} is no folder: give one that exists, or leave it out")
     from dualhead_eval.report.terminal import render_table
     from dualhead_eval.studies.monitor.conclusions import conclude
+    from dualhead_eval.studies.monitor.log_table import read_log
+    from dualhead_eval.studies.monitor.paper_logs import first_logs
+    from dualhead_eval.studies.monitor.paper_tables import paper_tables
     from dualhead_eval.studies.monitor.registration import registered
-    from dualhead_eval.studies.monitor.study import MonitorStudy
+    from dualhead_eval.studies.monitor.study import LOG, MonitorStudy
     from dualhead_eval.studies.monitor.tables import study_tables
     from dualhead_eval.studies.stages import stage
 
@@ -68,19 +77,38 @@ def run(args: argparse.Namespace) -> int:
     protocol = registered()
     study = MonitorStudy(protocol, args.env, args.preset, args.output, **options)
     study.claim_folder()
+    if args.only_grade:
+        log = read_log(args.output / LOG)
+    else:
+        log = _made(study)
+    with stage(study.console, 5, 5, "Grade the registered criteria."):
+        found = conclude(log, study.scored(), protocol, study.budget.seeds)
+    console = open_console()
+    tables = [
+        *study_tables(log, found, protocol),
+        *paper_tables(*first_logs(log, study.scored(), study.observed(), protocol), found, protocol),
+    ]
+    for table in tables:
+        console.print(render_table(table))
+    if not args.only_grade:
+        console.print(f"page: {study.write_page(tables, found)}")
+    if args.keep is not None:
+        study.keep(args.keep, log)
+        console.print(f"kept: {args.keep}")
+    return 0
+
+
+def _made(study: MonitorStudy) -> MonitorLog:
+    """Run the stages up to the scores that are not done."""
+    from dualhead_eval.studies.stages import stage
+
     with stage(study.console, 1, 5, "Record demonstrations."):
         study.record_demonstrations()
     with stage(study.console, 2, 5, "Train the executor and the arms."):
         study.train()
     with stage(study.console, 3, 5, "Record the executor's episodes."):
         log = study.log()
-    with stage(study.console, 4, 5, f"Score the arms, {protocol.scoring.samples} pairs at every decision."):
+    with stage(study.console, 4, 5, f"Score the arms, {study.protocol.scoring.samples} pairs at every decision."):
         study.score(log)
-    with stage(study.console, 5, 5, "Grade the registered criteria."):
-        found = conclude(log, study.scored(), protocol, study.budget.seeds)
-    console = open_console()
-    tables = study_tables(log, found, protocol)
-    for table in tables:
-        console.print(render_table(table))
-    console.print(f"page: {study.write_page(tables, found)}")
-    return 0
+        study.score_observations(log)
+    return log

@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from dualhead_eval.ensembles.scores import action_l2
 from dualhead_eval.evaluation.conditions import ConditionBank
-from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, PairResidual, make_gate
+from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, PairResidual
+from dualhead_eval.evaluation.open_loop import count_pairs, label_conditions
 from dualhead_eval.evaluation.protocol import EvaluationProtocol
 from dualhead_eval.evaluation.samplers import EvaluatedSampler
 from dualhead_eval.gate import Gate
@@ -50,6 +52,31 @@ def evaluate_ensemble(
         ValueError: If fewer than two members are given, one has another layout than the conditions, or there is no
             such head.
     """
+    require_ensemble(members, conditions, head)
+
+    def label_group(group: ConditionBank, nfe: int, number: int) -> LabelledPairs:
+        common, *own = protocol.group_seeds(nfe, number, 1 + len(members))
+        seeds = [common] * len(members) if shared_noise else own
+        paths = [
+            _positions(member, group, protocol, nfe, head, seed)
+            for member, seed in zip(members.values(), seeds, strict=True)
+        ]
+        return _label_members(tuple(members), np.stack(paths), group)
+
+    pairs = label_conditions(conditions, protocol, label_group, progress)
+    provenance = ensemble_provenance(
+        members, conditions, protocol, label, head=head, shared_noise=shared_noise, score="action_l2"
+    )
+    return count_pairs(pairs, conditions, protocol, provenance)
+
+
+def require_ensemble(members: Mapping[str, EvaluatedSampler], conditions: ConditionBank, head: str) -> None:
+    """Refuse what is no ensemble under ``conditions``.
+
+    Raises:
+        ValueError: If fewer than two members are given, one has another layout than the conditions, or there is no
+            such head.
+    """
     if len(members) < 2:
         raise ValueError(f"{len(members)} member(s) given, expected two or more: an ensemble disagrees in pairs")
     if head not in ("position", "joint"):
@@ -59,40 +86,30 @@ def evaluate_ensemble(
             member.require_conditions(conditions)
         except ValueError as error:
             raise ValueError(f"member {name!r}: {error}") from error
-    pairs = {}
-    for nfe in protocol.nfes:
-        parts = []
-        for number, rows in enumerate(protocol.groups(len(conditions))):
-            group = conditions[rows]
-            common, *own = protocol.group_seeds(nfe, number, 1 + len(members))
-            seeds = [common] * len(members) if shared_noise else own
-            paths = [
-                _positions(member, group, protocol, nfe, head, seed)
-                for member, seed in zip(members.values(), seeds, strict=True)
-            ]
-            parts.append(_label_members(tuple(members), np.stack(paths), group))
-            if progress is not None:
-                progress(len(group))
-        pairs[nfe] = LabelledPairs.join(parts)
-    return make_gate(
-        pairs,
-        reference_nfe=protocol.reference_nfe,
-        taus=protocol.taus,
-        conditions=conditions.state,
-        pair_ids=conditions.pair_ids,
-        partition=conditions.partition,
-        target_probabilities=conditions.target_probabilities,
-        provenance={
-            "label": label,
-            "method": "ensemble",
-            "members": {name: member.provenance for name, member in members.items()},
-            "head": head,
-            "shared_noise": shared_noise,
-            **conditions.provenance,
-            "pairs_per_condition": protocol.pairs,
-            "seed": protocol.seed,
-        },
-    )
+
+
+def ensemble_provenance(
+    members: Mapping[str, EvaluatedSampler],
+    conditions: ConditionBank,
+    protocol: EvaluationProtocol,
+    label: str,
+    *,
+    head: str,
+    shared_noise: bool,
+    score: str,
+) -> dict[str, Any]:
+    """What an ensemble's gate says of its evaluation; ``score`` names what its strata hold."""
+    return {
+        "label": label,
+        "method": "ensemble",
+        "members": {name: member.provenance for name, member in members.items()},
+        "head": head,
+        "shared_noise": shared_noise,
+        "score": score,
+        **conditions.provenance,
+        "pairs_per_condition": protocol.pairs,
+        "seed": protocol.seed,
+    }
 
 
 def _positions(

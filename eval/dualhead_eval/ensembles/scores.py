@@ -67,23 +67,45 @@ def vfd_score(
     Raises:
         ValueError: If there are fewer than two members or no step.
     """
+    return mean_over_steps(velocity_gaps(fields, source, num_steps=num_steps), weighted=weighted)
+
+
+def velocity_gaps(fields: Sequence[VelocityField], source: ArrayLike, *, num_steps: int) -> NDArray[np.float64]:
+    """Squared differences between members' velocities along every member's Euler path, the material of VFD.
+
+    Args:
+        fields: The members' velocity fields.
+        source: Shared initial noise, ``(N, ...)``.
+        num_steps: Euler steps; times are l / num_steps, l = 0 .. num_steps - 1.
+
+    Returns:
+        ``(M, M, N, num_steps)``: member j against member i at member i's state.
+
+    Raises:
+        ValueError: If there are fewer than two members or no step.
+    """
     if len(fields) < 2 or num_steps < 1:
         raise ValueError(
             f"{len(fields)} members and {num_steps} steps given, expected two members and one step or more"
         )
     start = np.asarray(source, dtype=np.float64)
-    scores = np.zeros((len(fields), len(fields), len(start)))
+    gaps = np.zeros((len(fields), len(fields), len(start), num_steps))
     for i in range(len(fields)):
         x = start.copy()
         for step in range(num_steps):
-            s = step / num_steps
-            velocities = [field(x, s) for field in fields]
-            weight = time_weight(s) if weighted else 1.0
+            velocities = [field(x, step / num_steps) for field in fields]
             for j, velocity in enumerate(velocities):
                 gap = (velocity - velocities[i]).reshape(len(start), -1)
-                scores[i, j] += weight * (gap**2).sum(axis=1) / num_steps
+                gaps[i, j, :, step] = (gap**2).sum(axis=1)
             x = x + velocities[i] / num_steps
-    return scores
+    return gaps
+
+
+def mean_over_steps(gaps: NDArray[np.float64], *, weighted: bool) -> NDArray[np.float64]:
+    """VFD from :func:`velocity_gaps` ``(..., num_steps)``, with its time weight or without."""
+    num_steps = gaps.shape[-1]
+    weights = [time_weight(step / num_steps) if weighted else 1.0 for step in range(num_steps)]
+    return gaps @ np.array(weights) / num_steps
 
 
 def contamination(scores: ArrayLike, labels: ArrayLike, *, unit: str = "mm") -> dict[tuple[int, int], ResidualStrata]:

@@ -44,7 +44,7 @@ class PairResidual:
     Attributes:
         distance: Mean over the window (conditions, pairs), at least 0.
         heads: The two heads whose modes stratify it.
-        unit: ``"mm"`` or ``"deg"``.
+        unit: One of :data:`dualhead_eval.residuals.strata.UNITS`.
     """
 
     distance: np.ndarray

@@ -1,8 +1,12 @@
-"""Open-loop evaluation: sample both heads under every condition, label their paths, count them into a gate."""
+"""Open-loop evaluation: sample both heads under every condition, label their paths, count them into a gate.
+
+Whatever is sampled walks the conditions in the same groups (:func:`label_conditions`) and is counted by the same rule
+(:func:`count_pairs`): ensembles do so as well.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from dualhead_eval.evaluation.conditions import ConditionBank
@@ -34,15 +38,40 @@ def evaluate(
         ValueError: If sampler and conditions have different layouts or observations.
     """
     sampler.require_conditions(conditions)
+
+    def label_group(group: ConditionBank, nfe: int, number: int) -> LabelledPairs:
+        return _label_pairs(sampler, group, protocol, nfe, protocol.group_seeds(nfe, number)[0])
+
+    pairs = label_conditions(conditions, protocol, label_group, progress)
+    return count_pairs(pairs, conditions, protocol, gate_provenance(sampler, conditions, protocol, label))
+
+
+def label_conditions(
+    conditions: ConditionBank,
+    protocol: EvaluationProtocol,
+    label_group: Callable[[ConditionBank, int, int], LabelledPairs],
+    progress: Callable[[int], object] | None = None,
+) -> dict[int, LabelledPairs]:
+    """Labelled pairs of all conditions by NFE: ``label_group(group, nfe, number)`` of each group of them, joined."""
     pairs = {}
     for nfe in protocol.nfes:
         parts = []
         for number, rows in enumerate(protocol.groups(len(conditions))):
             group = conditions[rows]
-            parts.append(_label_pairs(sampler, group, protocol, nfe, protocol.group_seeds(nfe, number)[0]))
+            parts.append(label_group(group, nfe, number))
             if progress is not None:
                 progress(len(group))
         pairs[nfe] = LabelledPairs.join(parts)
+    return pairs
+
+
+def count_pairs(
+    pairs: Mapping[int, LabelledPairs],
+    conditions: ConditionBank,
+    protocol: EvaluationProtocol,
+    provenance: Mapping[str, Any],
+) -> Gate:
+    """Count labelled pairs, by NFE, under the conditions and protocol that they were drawn under."""
     return make_gate(
         pairs,
         reference_nfe=protocol.reference_nfe,
@@ -51,7 +80,7 @@ def evaluate(
         pair_ids=conditions.pair_ids,
         partition=conditions.partition,
         target_probabilities=conditions.target_probabilities,
-        provenance=gate_provenance(sampler, conditions, protocol, label),
+        provenance=provenance,
     )
 
 

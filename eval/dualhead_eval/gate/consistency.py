@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualhead_eval.effects.counts import pair_counts
-from dualhead_eval.residuals.strata import ResidualStrata
+from dualhead_eval.residuals.strata import UNITS, ResidualStrata
 
 AGAIN = "evaluate again"
 #: Sums of squares are rounded at a relative 1e-16 per pair.
@@ -125,7 +125,7 @@ def _check_moments(name: str, strata: ResidualStrata) -> None:
         and (squares <= total**2 * (1 + ROUNDING)).all()
         # At least half of the distances are no smaller than the median.
         and (median[~empty] * n[~empty] <= 2 * total[~empty] * (1 + ROUNDING)).all()
-        and strata.unit in ("mm", "deg")
+        and strata.unit in UNITS
     )
     if not possible:
         raise ValueError(f"gate strata {name!r} hold sums, squares or medians that no distances have: {AGAIN}")

@@ -30,7 +30,7 @@ class Numbers(Schema):
 class PackedStrata(Schema):
     """:class:`dualhead_eval.residuals.strata.ResidualStrata`, flat."""
 
-    unit: Literal["mm", "deg"]
+    unit: Literal["mm", "deg", "1"]
     n: Counts
     total: Numbers
     squares: Numbers

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dualhead_eval.ensembles.summary import is_ensemble
 from dualhead_eval.evaluation.rollouts import wilson_interval
 from dualhead_eval.report.content import Report
 from dualhead_eval.report.effects_table import effects_table
+from dualhead_eval.report.ensemble_tables import contamination_table, ensemble_choices_table
 from dualhead_eval.report.paper_tables import claims_table, comparisons_table, contradictions_table, sites_table
 from dualhead_eval.report.table import LOSS, READING, RHO, Column, Table, equivalence, number, with_bounds
 
@@ -14,10 +16,15 @@ def report_tables(report: Report) -> list[Table]:
     tables: list[Table | None] = []
     if report.runs:
         tables = [effects_table(report), families_table(report), agreement_table(report)]
-        tables += [residuals_table(report), residual_parts_table(report)]
+        tables += [residuals_table(report), residual_parts_table(report), *_ensemble_tables(report)]
     if report.loops:
         tables += [closed_loop_table(report), closed_loop_modes_table(report)]
     return [table for table in tables if table is not None]
+
+
+def _ensemble_tables(report: Report) -> list[Table]:
+    gates = [run.gate for run in report.runs if is_ensemble(run.gate)]
+    return [ensemble_choices_table(gates), contamination_table(gates)] if gates else []
 
 
 def paper_tables(report: Report) -> list[Table]:
@@ -111,6 +118,8 @@ def residual_parts_table(report: Report) -> Table | None:
 def _residuals(report: Report, title: str, *, parts: bool) -> Table | None:
     lines = []
     for run in report.runs:
+        if is_ensemble(run.gate):  # its scores have tables of their own
+            continue
         for component, s in run.residuals.items():
             if ("/" in component) is parts:
                 means = (number(value, ".2f") for value in (s.mean, s.same, s.cross))

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 #: Order of the strata on the last axis.
 STRATA = ("same", "cross")
+#: Millimetres, degrees, or none (VFD compares normalised velocities).
+UNITS = ("mm", "deg", "1")
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class ResidualStrata:
         median: Median within the stratum, ``(..., 2)``; NaN where the stratum is empty.
         u: Mann-Whitney U of cross over same, ``(...)``: pairs of pairs in which the cross-mode residual is
             the larger one, ties counting one half.
-        unit: ``"mm"`` or ``"deg"``.
+        unit: One of :data:`UNITS`.
     """
 
     n: NDArray

@@ -150,6 +150,13 @@ class ExactCriterion(CriterionBase):
     at: int | None = None
 
 
+class LawCriterion(CriterionBase):
+    """The seeds' mean of rho, and every seed's sign, against the law of the linear maps, (2 / pi) asin(alignment)."""
+
+    test: Literal["law"]
+    margin: Share
+
+
 class BesideCriterion(CriterionBase):
     """The seeds' mean, against the paper's printed cell."""
 
@@ -201,6 +208,7 @@ Criterion = Annotated[
     | InteractionCriterion
     | BanksCriterion
     | ExactCriterion
+    | LawCriterion
     | BesideCriterion
     | TrendCriterion
     | OrderCriterion

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,9 +83,8 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
     store = GateStore(folders.gates)
     missing = store.missing(plan)
     cells = study_cells(plan, store.results(plan))
+    write_missing_references(plan, data, folders.references)
     references = StudyReferences([folders.references, OPTIMA])
-    if cells and write_missing_references(cells, plan.banks, data, folders.references, references):
-        references = StudyReferences([folders.references, OPTIMA])
     grades = grade_study(study, cells, references.rho)
     table = figure = None
     if cells:
@@ -100,12 +98,18 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
     return StudyVerdict(cells, grades, missing, references, table, figure)
 
 
-def missing_lines(missing: list[StudyEvaluation], show: Callable[[Path], str] = str) -> list[str]:
-    """One line per run that lacks gate files, with the files that it lacks."""
-    by_run: dict[str, list[Path]] = {}
+def missing_lines(missing: list[StudyEvaluation]) -> list[str]:
+    """One line per cell that lacks gate files: the seeds, and the files that each lacks."""
+    by_run: dict[tuple[str, int], list[str]] = {}
     for evaluation in missing:
-        by_run.setdefault(evaluation.run.name, []).append(evaluation.gate_file)
-    return [f"missing {name}: {', '.join(show(Path(file.name)) for file in files)}" for name, files in by_run.items()]
+        by_run.setdefault((evaluation.run.cell, evaluation.run.seed), []).append(evaluation.gate_file.name)
+    alike: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    for (cell, seed), files in by_run.items():
+        alike.setdefault((cell, tuple(files)), []).append(seed)
+    return [
+        f"missing {cell}, seed {', '.join(map(str, sorted(seeds)))}: {', '.join(files)}"
+        for (cell, files), seeds in alike.items()
+    ]
 
 
 def _replace(path: Path, text: str) -> bool:

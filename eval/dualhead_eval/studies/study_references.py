@@ -7,7 +7,7 @@ given.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 
 from dualhead_eval.gate import Gate, read_gate, write_gate
-from dualhead_eval.paper.mechanism import Mechanism, mechanism_of
+from dualhead_eval.paper.mechanism import mechanism_of
 from dualhead_eval.statistics.run_summary import summarise_run
+from dualhead_eval.studies.gate_identity import wanted_policy
 from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_file import Bank
+from dualhead_eval.studies.study_plan import StudyPlan
 
 #: Largest difference of two recordings' conditions that count as the same: machines differ in a float32's last bits.
 SAME_CONDITION = 1e-5
@@ -86,15 +88,13 @@ def has_reference(gate: Gate) -> bool:
     )
 
 
-def in_closed_form(mechanism: Mechanism) -> bool:
-    """Whether a mechanism's optimum on the ring is a formula, quick to sample."""
-    return mechanism.environment == "testbed" and mechanism.consistency == 0
+def write_missing_references(plan: StudyPlan, data: Path, folder: Path) -> bool:
+    """Sample the closed-form references of a plan's ring cells whose dataset is at hand.
 
-
-def write_missing_references(
-    cells: Sequence[StudyCell], banks: dict[tuple[str, str], Bank], data: Path, folder: Path, known: StudyReferences
-) -> bool:
-    """Sample the closed-form references that cells lack and whose dataset is at hand.
+    Args:
+        plan: What the study asks for, whether or not its runs are there.
+        data: Folder of the datasets.
+        folder: Folder of the references.
 
     Returns:
         Whether any was written.
@@ -106,25 +106,38 @@ def write_missing_references(
     from dualhead_eval.gate.compact import compact_gate
     from dualhead_policy.sampling import SamplingCoupling
 
-    written = False
-    for cell in cells:
-        gate, bank = cell.runs[0].gate, banks[cell.dataset, cell.bank]
-        mechanism, root = mechanism_of(gate), data / cell.dataset / "test"
-        wanted = has_reference(gate) and in_closed_form(mechanism) and len(bank.nfes) == 1 and not bank.taus
-        path = folder / cell.dataset / f"{_reference_name(gate)}-{cell.bank}.gate.json.gz"
-        if not wanted or not cell.final or path.exists() or not root.is_dir() or known.find(cell) is not None:
+    wanted: dict[Path, tuple[Path, Bank, dict[str, Any]]] = {}
+    for evaluation in plan.evaluations:
+        bank, root = plan.bank(evaluation), data / evaluation.run.dataset / "test"
+        ring = plan.datasets[evaluation.run.dataset].env.startswith("RotatingRing")
+        if not ring or len(bank.nfes) > 1 or bank.taus or not root.is_dir():
             continue
-        options = {"token": "oracle", "token_replacement_prob": _replacement(gate)} if mechanism.token else {}
+        policy = wanted_policy(evaluation.run)
+        if (name := _closed_form(policy)) is not None:
+            path = folder / evaluation.run.dataset / f"{name}-{evaluation.bank}.gate.json.gz"
+            if not path.exists():
+                wanted[path] = root, bank, policy
+    for path, (root, bank, policy) in wanted.items():
         conditions = open_conditions(root)[: bank.conditions]
-        protocol = EvaluationProtocol(
-            pairs=bank.pairs, seed=bank.seed, coupling=SamplingCoupling(source_noise_beta=mechanism.beta)
-        )
-        reference = evaluate(
-            open_exact_reference(conditions, **options), conditions, protocol, f"{cell.dataset} {_reference_name(gate)}"
-        )
+        options: dict[str, Any] = {}
+        if policy["token"]:
+            options = {"token": "oracle", "token_replacement_prob": float(policy["token_replacement_prob"])}
+        coupling = SamplingCoupling(source_noise_beta=float(policy["source_noise_beta"]))
+        protocol = EvaluationProtocol(pairs=bank.pairs, seed=bank.seed, coupling=coupling)
+        label = f"{path.parent.name} {path.name.partition('-')[0]}"
+        reference = evaluate(open_exact_reference(conditions, **options), conditions, protocol, label)
         write_gate(compact_gate(reference, residuals=False), path)
-        written = True
-    return written
+    return bool(wanted)
+
+
+def _closed_form(policy: Mapping[str, Any]) -> str | None:
+    """Name of the closed-form optimum of a policy on the ring; None if its loss has none."""
+    drawn = policy["token"] == "oracle" and policy["token_draw"] == "uniform" and not policy["token_null_prob"]
+    if policy["latent"] or policy["consistency_weight"] or (policy["token"] and not drawn):
+        return None
+    if policy["token"]:
+        return f"exact_oracle_replacement_{float(policy['token_replacement_prob']):g}"
+    return f"exact_beta_{float(policy['source_noise_beta']):g}"
 
 
 def _key(gate: Gate) -> tuple[Any, ...]:
@@ -139,13 +152,6 @@ def _replacement(gate: Gate) -> float:
     provenance = gate.provenance
     settings = {**provenance, **(provenance.get("config") or {})}
     return float(settings.get("token_replacement_prob") or 0.0)
-
-
-def _reference_name(gate: Gate) -> str:
-    mechanism = mechanism_of(gate)
-    if mechanism.token:
-        return f"exact_oracle_replacement_{_replacement(gate):g}"
-    return f"exact_beta_{mechanism.beta:g}"
 
 
 def _same_conditions(reference: Gate, own: Gate) -> bool:

@@ -52,3 +52,28 @@ def test_unknown_maps_and_wrong_widths_are_refused():
         representation_map("cartesian")
     with pytest.raises(ValueError, match=r"expected \(\.\.\., 6\)"):
         representation_map("nullspace").to_position(np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("name", ["overlap+40", "overlap-90", "overlap+0", "rotation+45", "rotation-180", "polar_50_0"])
+def test_every_member_of_a_family_undoes_itself(name):
+    family = representation_map(name)
+    assert family.name == name
+    points = np.random.default_rng(0).normal(size=(50, 2))
+    np.testing.assert_allclose(family.to_position(family.from_position(points)), points, atol=1e-13)
+
+
+def test_families_hold_the_testbeds_maps():
+    points = np.random.default_rng(0).normal(size=(50, 2))
+    for member, named in (("overlap-35", "nullspace"), ("polar_70_60", "polar")):
+        np.testing.assert_array_equal(
+            representation_map(member).from_position(points), representation_map(named).from_position(points)
+        )
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["overlap", "overlap-0", "overlap+100", "overlap+040", "rotation+181", "rotation45", "polar_0_60", "polar_7"],
+)
+def test_what_is_in_no_family_is_refused(name):
+    with pytest.raises(ValueError, match="nor of the families"):
+        representation_map(name)

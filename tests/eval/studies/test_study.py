@@ -153,7 +153,7 @@ def test_missing_gate_files_are_named(copied, capsys):
     assert main(command(copied, "--verdict-only")) == 0
     out = capsys.readouterr().out
     assert "8 of 10 evaluations are there" in out
-    assert "missing ring/B_shared_noise-150/seed-1: 000050-frozen.gate.json.gz, 000150-frozen.gate.json.gz" in out
+    assert "missing ring/B_shared_noise-150, seed 1: 000050-frozen.gate.json.gz, 000150-frozen.gate.json.gz" in out
     assert "seed 1 missing" in out
 
 

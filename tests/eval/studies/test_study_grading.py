@@ -14,6 +14,7 @@ from dualhead_eval.statistics.run import open_run
 from dualhead_eval.studies.gate_store import StudyResult
 from dualhead_eval.studies.grading import grade_study
 from dualhead_eval.studies.grading.collapse_rows import collapse_number, collapse_row
+from dualhead_eval.studies.grading.single_cells import shared_noise_law
 from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_file import StudyFile
 from dualhead_eval.studies.study_references import StudyReferences
@@ -211,6 +212,30 @@ def test_the_paper_beside_a_cell(cell):
     assert near.paper_row == "testbed/B shared source noise/nullspace"
     assert graded([near], criterion).grade == "holds"
     assert graded([far], criterion).grade == "does not hold"
+
+
+@pytest.mark.parametrize(
+    ("representation", "law"),
+    [
+        ("nullspace", -0.2276),
+        ("overlap+90", 0.7129),
+        ("rotation+90", 0.0),
+        ("rotation+120", -1 / 3),
+        ("rotation+0", 1.0),
+        ("orthogonal", None),
+        ("polar", None),
+    ],
+)
+def test_the_law_of_shared_noise_under_a_linear_map(make_gate, representation, law):
+    gate = make_gate(config={"source_noise_beta": 0.0, "kinematic_map": f"ring/{representation}"})
+    assert shared_noise_law(gate) == (None if law is None else pytest.approx(law, abs=1e-4))
+
+
+def test_an_effect_follows_the_law_or_not(cell):
+    criterion = {"test": "law", "rows": ["B"], "margin": 0.05}
+    setting = {"config": {"source_noise_beta": 0.0, "kinematic_map": "ring/rotation+120"}}
+    assert graded([cell("B", [-0.33] * 3, **setting)], criterion).grade == "holds"
+    assert graded([cell("B", [0.33] * 3, **setting)], criterion).grade == "does not hold"
 
 
 def test_rows_of_the_collapse_table(make_gate):

@@ -20,6 +20,7 @@ from dualhead_eval.studies.criterion import (
     EquivalenceCriterion,
     ExactCriterion,
     InteractionCriterion,
+    LawCriterion,
     MinimumCriterion,
     MonotoneCriterion,
     OrderCriterion,
@@ -95,6 +96,9 @@ class _Grader:
             case BesideCriterion():
                 for cell in self._rows(criterion.rows):
                     yield single_cells.grade_beside(cell, criterion.statistic, criterion.margin)
+            case LawCriterion():
+                for cell in self._rows(criterion.rows):
+                    yield single_cells.grade_law(cell, criterion.margin)
             case ExactCriterion():
                 for cell in self._rows(criterion.rows):
                     if criterion.at in (None, cell.step):

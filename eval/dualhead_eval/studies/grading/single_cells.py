@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap
 from dualhead_eval.effects.sites import CORNER_CAPACITY, CORNER_RHO, Occupancy
+from dualhead_eval.gate import Gate
 from dualhead_eval.paper.claims.grade import FAILS, HOLDS, OPEN, UNGRADED
+from dualhead_eval.paper.mechanism import mechanism_of
 from dualhead_eval.paper.numbers import paper_row
 from dualhead_eval.paper.seed_spread import seed_spread
 from dualhead_eval.paper.sites import paper_site
@@ -127,6 +130,35 @@ def grade_exact(cell: StudyCell, reference: float | None, margin: float) -> Cell
         return CellGrade(cell.name, UNGRADED, f"{evidence}, no reference at hand")
     grade = HOLDS if abs(rho - reference) <= margin else FAILS
     return CellGrade(cell.name, grade, f"{evidence}, optimum {points(reference)}")
+
+
+def grade_law(cell: StudyCell, margin: float) -> CellGrade:
+    """The mean of rho, and the seeds' signs, against the law of a linear map."""
+    law, rhos = shared_noise_law(cell.runs[0].gate), cell.values("rho")
+    if law is None or not rhos.size:
+        return CellGrade(cell.name, UNGRADED, "no linear map, or no seed can be read")
+    evidence = f"rho {points(rhos.mean(), cell.interval())}, law {points(law)}, {seeds_behind(cell)}"
+    signs = abs(law) <= margin or bool((np.sign(rhos) == np.sign(law)).all())
+    return CellGrade(cell.name, HOLDS if abs(rhos.mean() - law) <= margin and signs else FAILS, evidence)
+
+
+def shared_noise_law(gate: Gate) -> float | None:
+    """(2 / pi) asin(a): rho of two equally likely modes under shared noise and a linear map; None for other maps.
+
+    a is the correlation of the heads' deciding projections: u' M u, where M takes the first two coordinates of the
+    joint head's noise to the plane. None where it depends on the condition, as under a reflection.
+    """
+    mechanism = mechanism_of(gate)
+    if mechanism.environment != "testbed" or mechanism.n_modes != 2 or mechanism.beta != 0:
+        return None
+    chosen = REPRESENTATION_MAPS.get(mechanism.representation)
+    if not isinstance(chosen, LinearMap):
+        return None
+    shared = chosen.matrix[:2]
+    symmetric = (shared + shared.T) / 2
+    if not np.allclose(symmetric, symmetric[0, 0] * np.eye(2)):
+        return None
+    return float(2 / np.pi * np.arcsin(np.clip(symmetric[0, 0], -1, 1)))
 
 
 def _bound(bound: Bound | None, dataset: str) -> float | None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from dualhead_eval.atomic_text import write_bytes
 
 FORMAT = "dualhead-monitor-arm/1"
 _METADATA = b"dualhead"
-#: Bits of a stored score's fraction: a relative step of 1/4096. Verdicts are those of the stored numbers.
-FRACTION_BITS = 12
+#: Bits of a stored score's fraction, a relative step of 1/512 at most. Verdicts are those of the stored numbers.
+FRACTION_BITS = 9
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,10 @@ class ArmScores:
             None if n_tokens is None else np.zeros(decisions, dtype=np.float32),
             provenance,
         )
+
+    def only(self, signals: Sequence[str]) -> ArmScores:
+        """The same with some of the signals."""
+        return replace(self, scores={name: values for name, values in self.scores.items() if name in signals})
 
     def write(self, path: Path) -> None:
         """Write one Parquet file, atomically."""

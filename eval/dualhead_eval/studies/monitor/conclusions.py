@@ -66,11 +66,13 @@ def conclude(log: MonitorLog, scored: Scored, protocol: Registration, planned: l
     if protocol.baseline not in scored:
         raise ValueError(f"arm {protocol.baseline} has no scores, expected the baseline's: train and score it first")
     scoring = protocol.scoring
+    held = [set(scores.scores) for by_seed in scored.values() for scores in by_seed.values()]
+    signals = [name for name in scoring.signals if all(name in own for own in held)]
     families = Families(int((~log.calibrating).sum()), protocol.inference.draws, protocol.inference.seed)
 
     def alarms(arm: str, seed: int, rule: Rule) -> AlarmLog:
         return arm_alarms(
-            log, scored[arm][seed], rule, scoring.signals, alpha=scoring.alpha, label=arm, seed=protocol.inference.seed
+            log, scored[arm][seed], rule, signals, alpha=scoring.alpha, label=arm, seed=protocol.inference.seed
         )
 
     runs: dict[tuple[str, int, str], RunMeasures] = {}
@@ -79,12 +81,12 @@ def conclude(log: MonitorLog, scored: Scored, protocol: Registration, planned: l
         for seed in by_seed:
             step, episode = alarms(arm, seed, scoring.step), alarms(arm, seed, scoring.episode)
             first.setdefault(arm, episode)
-            for signal in scoring.signals:
+            for signal in signals:
                 runs[arm, seed, signal] = families.run(step, episode, signal)
     measured = {
         (arm, signal): families.family([runs[arm, seed, signal] for seed in by_seed])
         for arm, by_seed in scored.items()
-        for signal in scoring.signals
+        for signal in signals
     }
     regimes = {
         arm: mean_regime([regime(log, scores, scoring.samples) for scores in by_seed.values()])

@@ -45,7 +45,8 @@ class MonitorLog:
         episode: Episode of every decision ``(D,)``.
         step: Control step of every decision ``(D,)``.
         flagged: Whether two modes were open there ``(D,)``.
-        observations: Observed vectors by LeRobot key, each ``(D, width)``, raw.
+        observations: Observed vectors by LeRobot key, each ``(D, width)``, raw; none in a log that is kept for its
+            verdicts alone.
         about: Environment, layout and names that a decision's builder needs, and the executor's provenance.
     """
 
@@ -177,7 +178,11 @@ def read_log(path: Path) -> MonitorLog:
             table["episode"].to_numpy(),
             table["step"].to_numpy(),
             table["flagged"].to_numpy(zero_copy_only=False),
-            {key: np.stack(table[key].to_numpy(zero_copy_only=False)) for key in OBSERVATIONS},
+            {
+                key: np.stack(table[key].to_numpy(zero_copy_only=False))
+                for key in OBSERVATIONS
+                if key in table.column_names
+            },
             document["about"],
         )
         lengths = {len(values) for values in log.episodes.values()}

@@ -45,8 +45,10 @@ def score_arm(
         progress: Called with the number of decisions scored since the last call.
 
     Raises:
-        ValueError: If the policy has another layout than the log.
+        ValueError: If the policy has another layout than the log, or the log was kept without observations.
     """
+    if not log.observations:
+        raise ValueError("the log was kept without observations, expected a study's own: score in its folder")
     if policy.representation.kinematic_map != log.about["layout"]:
         raise ValueError(
             f"the policy's layout is {policy.representation.kinematic_map!r} and the log's {log.about['layout']!r}, "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,12 @@ from dualhead_eval.studies.monitor.arm_scores import ArmScores
 from dualhead_eval.studies.monitor.conclusions import Conclusions
 from dualhead_eval.studies.monitor.figures import study_figures
 from dualhead_eval.studies.monitor.log_table import MonitorLog, collect_log, read_log, write_log
+from dualhead_eval.studies.monitor.observation_scores import OBSERVING, score_observations
 from dualhead_eval.studies.monitor.recording import parts, record_log
 from dualhead_eval.studies.monitor.registration import EnvName, PolicyFields, Registration
 from dualhead_policy.pretrained import policy_folder
 
-SETTINGS, LOG = "study.json", "log.parquet"
+SETTINGS, LOG, SCORES = "study.json", "log.parquet", "scores"
 EXECUTOR = "executor"
 
 
@@ -87,7 +89,7 @@ class MonitorStudy:
         """Record the demonstrations, unless they are there."""
         from dualhead_envs.record import record
 
-        if (self.data / "card.json").is_file():
+        if (self.data / "card.json").is_file() or (self.root / LOG).is_file():
             return
         environment = self.protocol.environments[self.env]
         pairs = environment.pairs if self.preset == "full" else environment.smoke_pairs
@@ -100,10 +102,11 @@ class MonitorStudy:
 
         executor = self.protocol.executor
         wanted: list[tuple[str, int, PolicyFields]] = []
-        if self.given_executor is None:
+        if self.given_executor is None and not (self.root / LOG).is_file():
             wanted.append((EXECUTOR, executor.seed, executor.policy))
         if self.given_arms is None:
-            wanted += [(arm, seed, fields) for arm, fields in self.protocol.arms.items() for seed in self.budget.seeds]
+            wanted += [(arm, seed, fields) for arm, fields in self.protocol.arms.items() for seed in self.budget.seeds
+                       if not self.scores_file(arm, seed).is_file()]  # fmt: skip
         root = (self.data / "train").resolve()
         runs = [
             SweepRun(
@@ -160,7 +163,7 @@ class MonitorStudy:
 
     def scores_file(self, arm: str, seed: int) -> Path:
         """Where the scores of an arm are kept."""
-        return self.root / "scores" / f"{arm}-{seed}.parquet"
+        return self.root / SCORES / f"{arm}-{seed}.parquet"
 
     def missing(self) -> list[tuple[str, int]]:
         """Arms and seeds that can be scored and are not, the baseline and the primary arm first."""
@@ -185,6 +188,17 @@ class MonitorStudy:
                 self.root / LOG, jobs, self.protocol.scoring, workers=self.jobs, device=self.device, progress=advance
             )
 
+    def score_observations(self, log: MonitorLog) -> None:
+        """Score what the observations alone say, unless it is there; without demonstrations it is left out."""
+        path = self.root / SCORES / f"{OBSERVING}.parquet"
+        if not path.is_file() and (self.data / "train").is_dir():
+            score_observations(log, self.data / "train", self.protocol.scoring.seed).write(path)
+
+    def observed(self) -> ArmScores | None:
+        """What the observations alone say, if it was scored."""
+        path = self.root / SCORES / f"{OBSERVING}.parquet"
+        return ArmScores.read(path) if path.is_file() else None
+
     def scored(self) -> dict[str, dict[int, ArmScores]]:
         """The scores of every arm that has some, by training seed."""
         found: dict[str, dict[int, ArmScores]] = {}
@@ -193,6 +207,25 @@ class MonitorStudy:
                 if self.scores_file(arm, seed).is_file():
                     found.setdefault(arm, {})[seed] = ArmScores.read(self.scores_file(arm, seed))
         return found
+
+    def keep(self, folder: Path, log: MonitorLog) -> None:
+        """Write what the verdicts need into another folder: a log without observations, the criteria's signals.
+
+        Raises:
+            FileExistsError: If the folder holds anything.
+        """
+        if folder.exists() and any(folder.iterdir()):
+            raise FileExistsError(f"{folder} is not empty: give another --keep, or delete it first")
+        criteria = self.protocol.criteria
+        signals = {criteria.P1.signal, criteria.P2.signal, criteria.S2.signal, criteria.S2.against}
+        for arm, by_seed in self.scored().items():
+            for seed, scores in by_seed.items():
+                scores.only(list(signals)).write(folder / SCORES / f"{arm}-{seed}.parquet")
+        observed = self.observed()
+        if observed is not None:
+            observed.write(folder / SCORES / f"{OBSERVING}.parquet")
+        write_log(replace(log, observations={}), folder / LOG)
+        write_text(folder / SETTINGS, (self.root / SETTINGS).read_text())
 
     def write_page(self, tables: list[Table], found: Conclusions) -> Path:
         """Write tables and figures as one HTML page; returns its path."""
