@@ -25,7 +25,8 @@ ROOMS = {
     "dualhead_policy": [
         "quiet", "hub_folder", "representation", "sampling", "checkpoint_loading", "kinematics",
         "configuration_checks", "configuration_dualhead", "processor_dualhead", "disagreement_step", "decision_hooks",
-        "processor_loading", "model_card", "model", "flow", "fitting", "modeling_dualhead", "pretrained", "training",
+        "processor_loading", "model_card", "model", "flow", "fitting", "modeling_dualhead", "lerobot_policies",
+        "pretrained", "training",
     ],
     "dualhead_eval": [
         "atomic_text", "exact_reference", "penalised_reference", "effects", "residuals", "gate", "statistics",
