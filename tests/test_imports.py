@@ -30,8 +30,8 @@ ROOMS = {
     ],
     "dualhead_eval": [
         "atomic_text", "exact_reference", "penalised_reference", "effects", "residuals", "gate", "statistics",
-        "certificate", "paper", "partitions", "evaluation", "ensembles", "monitor", "report", "studies", "results_page",
-        "commands", "cli", "__main__",
+        "certificate", "paper", "partitions", "certificate_step", "evaluation", "ensembles", "monitor", "report",
+        "studies", "results_page", "commands", "cli", "__main__",
     ],
 }  # fmt: skip
 #: Every package imports itself and those before it.

@@ -49,12 +49,18 @@ def load_steps(folder: Path, config: PreTrainedConfig) -> tuple[Any, Any]:
         ValueError: If a file names another step, has other options, or holds statistics that are not finite.
     """
     overrides = {}
-    for file in (PREPROCESSOR_FILE, POSTPROCESSOR_FILE):
+    observed, acted = config.input_features or {}, config.output_features or {}
+    for file, kind, wanted in ((PREPROCESSOR_FILE, Normalize, observed), (POSTPROCESSOR_FILE, Unnormalize, acted)):
         pipeline = read_validated(file_inside(folder, file), Pipeline, kind="a policy's processor", remedy=REMEDY)
         for step in pipeline.steps:
             if isinstance(step, Normalize | Unnormalize):
-                _check_features(folder / file, step.config.features, config)
+                _check_features(folder / file, step.config.features, {**observed, **acted})
                 _check_statistics(file_inside(folder, step.state_file))
+        named = [set(step.config.features) for step in pipeline.steps if isinstance(step, kind)]
+        if len(named) != 1 or not named[0] >= set(wanted):
+            raise ValueError(
+                f"{folder / file} has {len(named)} steps that scale, expected one that knows {sorted(wanted)}: {REMEDY}"
+            )
         devices = any(isinstance(step, ToDevice) for step in pipeline.steps)
         overrides[file] = {"device_processor": {"device": config.device}} if devices else {}
     return make_pre_post_processors(
@@ -65,8 +71,7 @@ def load_steps(folder: Path, config: PreTrainedConfig) -> tuple[Any, Any]:
     )
 
 
-def _check_features(path: Path, features: Mapping[str, PolicyFeature], config: PreTrainedConfig) -> None:
-    own = {**(config.input_features or {}), **(config.output_features or {})}
+def _check_features(path: Path, features: Mapping[str, PolicyFeature], own: Mapping[str, PolicyFeature]) -> None:
     for key, feature in features.items():
         if key in own and tuple(feature.shape) != tuple(own[key].shape):
             raise ValueError(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands.console import open_console, refuse_overwrite
 from dualhead_eval.commands.own_task import OWN_USES, add_own_inputs, add_own_options
-from dualhead_eval.commands.pictures import add_picture_options, require_films, show_films, show_preview
+from dualhead_eval.commands.pictures import add_picture_options, show_films, show_preview
 from dualhead_eval.commands.policy_draws import (
     add_draw_options,
     add_pair_input,
@@ -316,37 +316,8 @@ def _rollouts(args: argparse.Namespace) -> Gate:
 
 
 def _rolled_out(args: argparse.Namespace) -> Gate:
-    from tqdm import tqdm
+    from dualhead_eval.commands.roll_out import roll_out
 
-    from dualhead_envs.dataset_frames import read_split
-    from dualhead_eval.evaluation.closed_loop import record_rollouts
-    from dualhead_eval.evaluation.conditions import recorded_environment
-    from dualhead_policy.pretrained import load_policy, policy_folder
-    from dualhead_policy.training.provenance import policy_provenance
-
-    env_id, env_kwargs = recorded_environment(read_split(args.dataset))
-    if args.perturb is not None and "Bypass" not in env_id:
-        raise ValueError(
-            f"--perturb has no meaning in {env_id}: leave it out, only the robot environments are perturbed"
-        )
-    env_kwargs = {**env_kwargs, "control": args.control or "joint", **_given(args, perturbation="perturb")}
-    require_films(args, env_id, env_kwargs)
-    policy, preprocess = load_policy(args.policy[0])
-    episodes = EPISODES if args.episodes is None else args.episodes
-    with tqdm(total=episodes, unit="episode", desc="rolling out", delay=1) as bar:
-        loop, verdict = record_rollouts(
-            policy,
-            preprocess,
-            args.record,
-            env_id=env_id,
-            env_kwargs=env_kwargs,
-            episodes=episodes,
-            **_given(args, samples="samples", seed="seed"),
-            provenance=policy_provenance(policy, policy_folder(args.policy[0])),
-            progress=bar.update,
-        )
-    for refusal in loop.refusals:
-        print(refusal)
-    print(f"closed loop, {loop}; recorded in {args.record}\nruntime certificate after these episodes: {verdict}")
+    roll_out(args, EPISODES if args.episodes is None else args.episodes)
     args.rollouts = args.record
     return _rollouts(args)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dualhead_eval.evaluation.conditions import ConditionBank
+    from dualhead_eval.evaluation.decisions import Decider
     from dualhead_eval.evaluation.draws import PolicyDraws
     from dualhead_eval.evaluation.samplers import EvaluatedSampler
 
@@ -60,6 +61,35 @@ def open_sampler(path: str, args: argparse.Namespace) -> EvaluatedSampler | Poli
                 "independent draws: leave it out"
             )
     return PolicyDraws(open_paths(path, args.draws or "position"))
+
+
+def open_decisions(path: str, samples: int, window: int) -> tuple[Decider, dict[str, Any]]:
+    """What decides for a policy in closed loop, and what a recording says of it.
+
+    Args:
+        path: The policy.
+        samples: Pairs of chunks per decision.
+        window: Steps in which a mode is told.
+
+    Raises:
+        FileNotFoundError: If there is no policy.
+        ValueError: If it is damaged, of a type that is not opened, or ``samples`` leaves no fresh pair.
+    """
+    from dualhead_eval.evaluation.decisions import Decisions
+    from dualhead_eval.evaluation.draw_decisions import DrawDecisions
+    from dualhead_policy.lerobot_policies.configuration_loading import read_policy_type
+    from dualhead_policy.lerobot_policies.opening import open_lerobot_policy
+    from dualhead_policy.pretrained import load_policy, policy_folder
+    from dualhead_policy.training.provenance import lerobot_provenance, policy_provenance
+
+    folder = policy_folder(path)
+    if samples < 1:
+        raise ValueError(f"--samples {samples} is not positive: give at least 1")
+    if read_policy_type(folder) == "dualhead":
+        policy, preprocess = load_policy(folder)
+        return Decisions(policy, preprocess, samples), policy_provenance(policy, folder)
+    drawn = open_lerobot_policy(folder)
+    return DrawDecisions(drawn, samples, window), lerobot_provenance(drawn.policy.config, folder)
 
 
 def open_pair(args: argparse.Namespace) -> PolicyDraws:
