@@ -77,8 +77,7 @@ def work(
         store = ArrayStore(Path(output) / ".windows")
         for training in trainings:
             training.share_windows(store)
-        dtype = {"fp32": torch.float32, "bf16": torch.bfloat16}[kind]
-        stack = StackedTraining(trainings, compute_dtype=dtype)
+        stack = StackedTraining(trainings, precision=kind)
 
         def step() -> int:
             stack.update()

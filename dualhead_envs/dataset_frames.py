@@ -30,10 +30,12 @@ class Conditions:
     Attributes:
         observation: Raw observations by LeRobot key, each (B, dim) float32.
         pair: Pair ids (B,).
+        frame: Where each lies among the split's frames (B,).
     """
 
     observation: dict[str, np.ndarray]
     pair: np.ndarray
+    frame: np.ndarray
 
     def __len__(self) -> int:
         return len(self.pair)
@@ -79,7 +81,17 @@ class SplitFrames:
         at_branch = np.flatnonzero(self.frame_index == self.labels["branch_step"])
         pair, first = np.unique(self.labels["pair"][at_branch], return_index=True)
         frames = at_branch[first]
-        return Conditions({key: column[frames] for key, column in self.observation.items()}, pair)
+        return Conditions({key: column[frames] for key, column in self.observation.items()}, pair, frames)
+
+    def history(self, frames: np.ndarray, steps: int) -> dict[str, np.ndarray]:
+        """The last ``steps`` observations at ``frames`` (B,), the present one last: each (B, steps, dim).
+
+        Before an episode's first frame that frame is repeated, as LeRobot does in training.
+        """
+        back = np.arange(1 - steps, 1)
+        within = np.maximum(self.frame_index[frames, None] + back, 0)
+        rows = frames[:, None] - self.frame_index[frames, None] + within
+        return {key: column[rows] for key, column in self.observation.items()}
 
     def mode_windows(self, horizon: int, prefix: str = "position.") -> np.ndarray | None:
         """Actions of every pair's demonstrations after the branch, by mode: (B, K, horizon, d).

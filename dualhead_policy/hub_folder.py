@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+#: What a repository on a hub is called: its owner and its name.
+_REPOSITORY = re.compile(r"[\w][\w.-]{0,95}/[\w][\w.-]{0,95}")
+#: Files of a policy, as they are called on a hub: no pickle, no code.
+POLICY_FILES = ("*.json", "model.safetensors", "policy_*.safetensors")
 #: Files of the processors, as they are called on a hub.
 PROCESSOR_FILES = ("config.json", "policy_preprocessor*", "policy_postprocessor*")
 
@@ -43,6 +48,25 @@ def processor_folder(path: str | Path, revision: str | None = None) -> Path:
     from huggingface_hub import snapshot_download
 
     return Path(snapshot_download(str(path), revision=revision, allow_patterns=list(PROCESSOR_FILES)))
+
+
+def downloaded_folder(repository: str | Path) -> Path | None:
+    """The folder into which a hub's repository of this name was downloaded; None if it is no such name.
+
+    Raises:
+        FileNotFoundError: If the hub has no such repository, or cannot be reached and nothing was downloaded before.
+    """
+    if not _REPOSITORY.fullmatch(str(repository)):
+        return None
+    from huggingface_hub import snapshot_download
+
+    try:
+        return Path(snapshot_download(str(repository), allow_patterns=list(POLICY_FILES)))
+    except Exception as error:  # the hub's client raises what its transport does
+        raise FileNotFoundError(
+            f"{repository} is neither a folder here nor a policy on the hub ({type(error).__name__}): check the "
+            "name, and that the hub can be reached"
+        ) from error
 
 
 def _is_cached(folder: Path, target: Path) -> bool:

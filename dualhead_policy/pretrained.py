@@ -8,7 +8,7 @@ from typing import Any
 
 from dualhead_envs.validated_json import read_json, validated
 from dualhead_policy.configuration_dualhead import DualheadConfig
-from dualhead_policy.hub_folder import file_inside
+from dualhead_policy.hub_folder import downloaded_folder, file_inside
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.processor_loading import load_processors
 
@@ -16,7 +16,9 @@ REMEDY = "load the folder that the policy was saved to"
 
 
 def policy_folder(path: str | Path) -> Path:
-    """The hub folder that ``path`` means: itself, or the newest checkpoint of a training run's output folder.
+    """The hub folder that ``path`` means: itself, a training run's newest checkpoint, or a download.
+
+    A name OWNER/NAME that is no folder here is a repository on the hub, of which the policy's files alone are fetched.
 
     Raises:
         FileNotFoundError: If there is no policy.
@@ -25,6 +27,9 @@ def policy_folder(path: str | Path) -> Path:
     for folder in (path, path / "pretrained_model", path / "checkpoints" / "last" / "pretrained_model"):
         if (folder / "config.json").is_file():
             return folder.resolve()
+    downloaded = None if path.exists() else downloaded_folder(path)
+    if downloaded is not None and (downloaded / "config.json").is_file():
+        return downloaded.resolve()
     raise FileNotFoundError(
         f"{path} holds no policy (no config.json): give a checkpoint's pretrained_model folder, or a run's "
         "output folder"

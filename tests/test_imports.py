@@ -25,12 +25,13 @@ ROOMS = {
     "dualhead_policy": [
         "quiet", "hub_folder", "representation", "sampling", "checkpoint_loading", "kinematics",
         "configuration_checks", "configuration_dualhead", "processor_dualhead", "disagreement_step", "decision_hooks",
-        "processor_loading", "model_card", "model", "flow", "fitting", "modeling_dualhead", "pretrained", "training",
+        "processor_loading", "model_card", "model", "flow", "fitting", "modeling_dualhead", "lerobot_policies",
+        "pretrained", "training",
     ],
     "dualhead_eval": [
         "atomic_text", "exact_reference", "penalised_reference", "effects", "residuals", "gate", "statistics",
-        "certificate", "paper", "partitions", "evaluation", "ensembles", "monitor", "report", "studies", "commands",
-        "cli", "__main__",
+        "certificate", "paper", "partitions", "certificate_step", "evaluation", "ensembles", "monitor", "report",
+        "studies", "results_page", "commands", "cli", "__main__",
     ],
 }  # fmt: skip
 #: Every package imports itself and those before it.

@@ -64,6 +64,14 @@ def _backend() -> str:
     raise RuntimeError(f"rendering needs EGL or OSMesa, and neither is on this machine: {_NEXT_STEP}")
 
 
+def opengl() -> str:
+    """The rendering library that pictures would use, or why there is none, in a few words."""
+    try:
+        return _backend()
+    except RuntimeError as error:
+        return f"none: {error}"
+
+
 class SceneRenderer:
     """Renders one scene. Opens a GL context at construction (0.5 to 1 s) and holds its own copy of the scene.
 

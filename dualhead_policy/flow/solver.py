@@ -14,8 +14,10 @@ from dualhead_policy.kinematics.rotation6d import columns_from_matrix, matrix_fr
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
 
-#: Rows integrated together: small enough for the activations to stay in cache.
+#: Rows integrated together on a CPU: small enough for the activations to stay in cache.
 SAMPLING_ROWS = 2048
+#: Rows integrated together on an accelerator: enough to fill it, at a gigabyte of activations.
+ACCELERATOR_SAMPLING_ROWS = 65_536
 #: Rows from which a context is integrated alone, its modulation broadcast instead of gathered row by row.
 ROWS_OF_ONE_CONTEXT = 128
 #: Contexts times steps whose modulation is held at once.
@@ -108,32 +110,33 @@ def _clean_chunks(
         context, index = model.context(embedding), condition
     clean = torch.empty_like(source)
     held = torch.empty(len(source), dtype=torch.bool, device=source.device)
-    for rows, used, local in _pieces(index, len(source), len(context)):
+    size = SAMPLING_ROWS if source.device.type == "cpu" else ACCELERATOR_SAMPLING_ROWS
+    for rows, used, local in _pieces(index, len(source), len(context), size):
         clean[rows], held[rows] = _integrate(model, head, source[rows], context[used], local, num_steps)
     return clean.unflatten(0, noise.shape[:2]), held.unflatten(0, noise.shape[:2])
 
 
 def _pieces(
-    index: Tensor | None, n_rows: int, n_contexts: int
+    index: Tensor | None, n_rows: int, n_contexts: int, size: int
 ) -> Iterator[tuple[Tensor | slice, slice, Tensor | None]]:
     """Rows that are integrated together, the contexts that they use, and which of these each follows.
 
     Where a context has many rows they share its modulation; where it has few, rows of several contexts go together.
     """
     if index is None or n_contexts == 1:
-        for start in range(0, n_rows, SAMPLING_ROWS):
-            rows = slice(start, start + SAMPLING_ROWS)
+        for start in range(0, n_rows, size):
+            rows = slice(start, start + size)
             yield rows, rows if index is None else slice(None), None
         return
     order = index.argsort(stable=True)
-    if n_rows >= ROWS_OF_ONE_CONTEXT * n_contexts:
+    if size == SAMPLING_ROWS and n_rows >= ROWS_OF_ONE_CONTEXT * n_contexts:
         start = 0
         for context, count in enumerate(torch.bincount(index, minlength=n_contexts).tolist()):
-            for piece in order[start : start + count].split(SAMPLING_ROWS):
+            for piece in order[start : start + count].split(size):
                 yield piece, slice(context, context + 1), None
             start += count
         return
-    for piece in order.split(SAMPLING_ROWS):
+    for piece in order.split(size):
         followed = index[piece]
         first, last = int(followed[0]), int(followed[-1])
         yield piece, slice(first, last + 1), None if first == last else followed - first

@@ -34,6 +34,12 @@ class TrainingBudget(OpenSchema):
     policy: TrainedPolicy | None = None
 
 
+class TrainingStep(OpenSchema):
+    """LeRobot's ``training_state/training_step.json``."""
+
+    step: Annotated[int, Field(ge=0)]
+
+
 def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
     """The configuration, weights, training steps and training run of the policy loaded from ``folder``."""
     config = draccus.encode(policy.config)
@@ -46,6 +52,29 @@ def policy_provenance(policy: DualheadPolicy, folder: Path) -> dict[str, Any]:
         "training_step": int(policy.training_step),
         "training": training_summary(folder, int(policy.training_step)),
     }
+
+
+def lerobot_provenance(config: Any, folder: Path) -> dict[str, Any]:
+    """The configuration, weights, training steps and training run of a policy of another LeRobot type."""
+    encoded = draccus.encode(config, type(config))
+    for name in ("device", "pretrained_path", "pretrained_revision", "repo_id"):
+        encoded.pop(name, None)
+    step = _saved_step(folder)
+    return {
+        "config": {**encoded, "type": config.type},
+        "checkpoint": _fingerprint(folder / "model.safetensors"),
+        "training_step": step,
+        "training": training_summary(folder, step),
+    }
+
+
+def _saved_step(folder: Path) -> int | None:
+    """The step of the training state that lies beside a checkpoint, None if there is none."""
+    file = folder.parent / "training_state" / "training_step.json"
+    if not file.is_file():
+        return None
+    kind = "the training step of a checkpoint"
+    return read_validated(file, TrainingStep, kind=kind, remedy="copy the checkpoint again, or delete the file").step
 
 
 def training_summary(folder: Path, step: int | None = None) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from bad_command_lines import command_line_cases
 from bad_datasets import dataset_cases, document_cases
 from bad_gates import gate_cases
-from bad_policies import policy_cases, run_cases
+from bad_policies import lerobot_policy_cases, policy_cases, run_cases
 from cases import Case, Products
 
 
@@ -17,5 +17,6 @@ def all_cases(products: Products) -> Iterator[Case]:
     yield from document_cases(products)
     yield from dataset_cases(products)
     yield from policy_cases(products)
+    yield from lerobot_policy_cases(products)
     yield from run_cases(products)
     yield from command_line_cases(products)

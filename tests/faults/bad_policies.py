@@ -52,6 +52,52 @@ def policy_cases(products: Products) -> Iterator[Case]:
         )  # fmt: skip
 
 
+def lerobot_policy_cases(products: Products) -> Iterator[Case]:
+    """The folder of a policy of another LeRobot type."""
+    rng = np.random.default_rng(6)
+    checkpoint = last_checkpoint(products.act)
+    assert checkpoint is not None
+    whole = checkpoint / "pretrained_model"
+
+    def evaluated(folder: Path) -> list[str]:
+        output = str(folder.parent / "out.gate.json")
+        data = ["--dataset", str(products.data / "test"), "--pairs", "2", "--conditions", "1"]
+        return ["evaluate", "--policy", str(folder), *data, "--output", output]
+
+    for file, (free, most) in ACT_DOCUMENTS.items():
+        text = (whole / file).read_text()
+        for what, damage in byte_damages(len(text), rng):
+            yield tree_case(f"act {file}: {what}", whole, file, damage, evaluated, "policy")
+        for what, change in json_damages(json.loads(text), rng, free=free, closed=file != "config.json", most=most):
+            yield tree_case(
+                f"act {file}: {what}", whole, file, edited(change), evaluated, "policy", "model.safetensors"
+            )
+    for file in ("model.safetensors", NORMALIZER):
+        for what, damage in binary_damages((whole / file).stat().st_size, rng):
+            yield tree_case(f"act {file}: {what}", whole, file, damage, evaluated)
+    for what, tensor_change in TENSORS.items():
+        file = "model.safetensors"
+        yield tree_case(f"act {file}: {what}", whole, file, _retensored(tensor_change), evaluated)
+    for what, step in FOREIGN_STEPS.items():
+        # Another pipeline than our own policies' may repeat a step.
+        if what != "a fifth step":
+            yield tree_case(
+                f"act policy_preprocessor.json: {what}", whole, "policy_preprocessor.json",
+                edited(lambda content, step=step: content["steps"].append(step)), evaluated,
+            )  # fmt: skip
+
+
+#: What may be open in an ACT's folder: what LeRobot keeps for uploads, and what opening it replaces.
+_OPEN = ("device", "pretrained_path", "push_to_hub", "pretrained_backbone_weights")
+ACT_DOCUMENTS: dict[str, tuple[tuple[str, ...], int]] = {
+    "config.json": (_OPEN, 60),
+    "policy_preprocessor.json": (("name", "steps.2.config.device", "steps.2.config.float_dtype"), 20),
+    "policy_postprocessor.json": (
+        # Only actions are brought back to their units: how observations were normalised does not matter there.
+        ("name", "steps.1.config.device", "steps.1.config.float_dtype", "steps.0.config.norm_map"),
+        15,
+    ),
+}
 NORMALIZER = "policy_preprocessor_step_3_normalizer_processor.safetensors"
 POLICY_DOCUMENTS: dict[str, tuple[tuple[str, ...], int]] = {
     # What LeRobot keeps for uploads, and what this package replaces or may be left open.

@@ -34,12 +34,14 @@ class Products:
         run: Output folder of a training run on it.
         gate: A gate file.
         rollouts: A rollouts file.
+        act: Output folder of `lerobot-train` with an ACT policy on it.
     """
 
     data: Path
     run: Path
     gate: Path
     rollouts: Path
+    act: Path
 
 
 def file_case(name: str, whole: Path, damage: Damage, command: Callable[[Path], list[str]]) -> Case:

@@ -106,7 +106,7 @@ def _alarm() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def products(ring_data, trained, tmp_path_factory) -> Products:
+def products(ring_data, trained, lerobot_runs, tmp_path_factory) -> Products:
     folder = tmp_path_factory.mktemp("products")
     gate = folder / "run.gate.json"
     scan = ["--pairs", "20", "--conditions", "3", "--nfe", "20", "10", "--tau", "0.4", "--label", "a run"]
@@ -119,7 +119,7 @@ def products(ring_data, trained, tmp_path_factory) -> Products:
         "outcomes": [{"seed": i, "success": i < 2, "collision": False, "mode": 0} for i in range(3)],
     }  # fmt: skip
     (folder / "loop.rollouts.json").write_text(json.dumps(rollouts))
-    return Products(ring_data, trained, gate, folder / "loop.rollouts.json")
+    return Products(ring_data, trained, gate, folder / "loop.rollouts.json", lerobot_runs["act"])
 
 
 def complaint(case: Case, outcome: Outcome) -> str:
@@ -131,10 +131,12 @@ def test_whole_products_are_read(products, tmp_path, monkeypatch, capsys):
     assert main(["report", str(products.gate), str(products.rollouts), str(products.data)]) == 0
     data = ["--dataset", str(products.data / "test"), "--pairs", "2", "--conditions", "2"]
     assert main(["evaluate", "--policy", str(products.run), *data, "--output", "out.gate.json"]) == 0
+    assert main(["evaluate", "--policy", str(products.act), *data, "--output", "act.gate.json"]) == 0
 
 
 #: Formats that a command reads in a fraction of a second; `dualhead train` takes seconds to parse its flags.
 QUICK = ("gate", "rollouts", "card", "data", "meta/info.json", "meta/dualhead.json", "config.json", "model.safetensors")
+QUICK += ("act config.json", "act policy_preprocessor", "act model.safetensors")
 QUICK += ("policy_preprocessor", "policy_postprocessor", "command: 'evaluate", "command: 'report", "command: 'record")
 
 

@@ -87,13 +87,15 @@ class DrawAhead:
         self._memory = [SharedMemory(create=True, size=self.layout.nbytes) for _ in range(BLOCKS)]
         self._views = [self.layout.views(memory) for memory in self._memory]
         names = [memory.name for memory in self._memory]
-        context = multiprocessing.get_context("spawn")
+        # What the workers import, one process imports once; they are its copies.
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload([__name__])
         self._workers = []
         shares = [list(range(worker, len(feeds), count)) for worker in range(count)]
         with interrupts_kept_from_workers():
             for share in shares:
                 own = {run: feeds[run] for run in share}
-                self._workers.append(ProcessPoolExecutor(1, context, _begin, (os.getpid(), names, self.layout, own)))
+                self._workers.append(ProcessPoolExecutor(1, context, _begin, (names, self.layout, own)))
             self._pending: list[list[Future[None]]] = [self._ask(block) for block in range(BLOCKS)]
 
     def _ask(self, block: int) -> list[Future[None]]:
@@ -131,8 +133,9 @@ class _Worker:
     feeds: Mapping[int, RunFeed]
 
 
-def _begin(parent: int, names: Sequence[str], layout: BlockLayout, feeds: Mapping[int, RunFeed]) -> None:
-    end_with(parent)
+def _begin(names: Sequence[str], layout: BlockLayout, feeds: Mapping[int, RunFeed]) -> None:
+    # The parent is the process that is copied, which ends with the one that started it.
+    end_with(os.getppid())
     torch.set_num_threads(1)
     _Worker.memory = [SharedMemory(name) for name in names]
     _Worker.views = [layout.views(memory) for memory in _Worker.memory]

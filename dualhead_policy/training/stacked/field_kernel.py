@@ -11,7 +11,9 @@ the tensors of all runs stacked, so that the training loss is written once, for 
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -20,18 +22,36 @@ from torch.nn import functional
 
 from dualhead_policy.model.velocity_field import Modulation, VelocityField, time_features
 
+#: Types in which the fields compute, by name.
+PRECISIONS = {"fp32": torch.float32, "tf32": torch.float32, "bf16": torch.bfloat16}
+Precision = Literal["fp32", "tf32", "bf16"]
+
+
+@contextmanager
+def _tensor_cores(precision: Precision) -> Iterator[None]:
+    """CUDA's products of float32 from factors rounded to ten bits, for the fields alone.
+
+    A chunk frame's rotations need all bits: its smallest coordinates are a thousandth of its largest.
+    """
+    before = torch.backends.cuda.matmul.allow_tf32
+    torch.backends.cuda.matmul.allow_tf32 = before or precision == "tf32"
+    try:
+        yield
+    finally:
+        torch.backends.cuda.matmul.allow_tf32 = before
+
 
 class StackableField(nn.Module):
     """A velocity field that ``torch.vmap`` over runs computes by :class:`StackedField`; the wrapped one's parameters.
 
     Args:
         field: The field.
-        compute_dtype: Type of activations and products; parameters and their gradients stay in float32.
+        precision: Type of activations and products; parameters and their gradients stay in float32.
     """
 
-    def __init__(self, field: VelocityField, compute_dtype: torch.dtype):
+    def __init__(self, field: VelocityField, precision: Precision):
         super().__init__()
-        self.compute_dtype = compute_dtype
+        self.precision = precision
         self.n_frequencies, self.conditioning = field.n_frequencies, field.conditioning
         self.input, self.hidden, self.output, self.side = field.input, field.hidden, field.output, field.side
         self.bottleneck = field.bottleneck if field.conditioning == "film" else None
@@ -47,15 +67,15 @@ class StackableField(nn.Module):
         layers = [self.input, *self.hidden, self.output]
         layers_and_side = (*layers, *self.side)
         parameters = [value for layer in layers_and_side for value in layer._parameters.values() if value is not None]
-        return _UnderVmap.apply(self.compute_dtype, len(layers), x, modulation[0], *parameters)
+        return _UnderVmap.apply(self.precision, len(layers), x, modulation[0], *parameters)
 
 
 class _UnderVmap(torch.autograd.Function):
     """One run's field as ``torch.vmap`` sees it: it is never computed alone."""
 
     @staticmethod
-    def forward(compute_dtype: torch.dtype, n_layers: int, *tensors: Tensor) -> Tensor:
-        stacked = StackedField.apply(compute_dtype, n_layers, *(tensor[None] for tensor in tensors))
+    def forward(precision: Precision, n_layers: int, *tensors: Tensor) -> Tensor:
+        stacked = StackedField.apply(precision, n_layers, *(tensor[None] for tensor in tensors))
         return stacked[0]
 
     @staticmethod
@@ -63,19 +83,19 @@ class _UnderVmap(torch.autograd.Function):
         raise NotImplementedError("a StackableField is differentiated under torch.vmap only")
 
     @staticmethod
-    def vmap(info: Any, in_dims: Any, compute_dtype: torch.dtype, n_layers: int, *tensors: Tensor) -> Any:
+    def vmap(info: Any, in_dims: Any, precision: Precision, n_layers: int, *tensors: Tensor) -> Any:
         stacked = (
             tensor.expand(info.batch_size, *tensor.shape) if dim is None else tensor.movedim(dim, 0)
             for tensor, dim in zip(tensors, in_dims[2:], strict=True)
         )
-        return StackedField.apply(compute_dtype, n_layers, *stacked), 0
+        return StackedField.apply(precision, n_layers, *stacked), 0
 
 
 class StackedField(torch.autograd.Function):
     """v(x, side) of N stacked fields; see the module.
 
     Args:
-        compute_dtype: Type of activations and products.
+        precision: Type of activations and products.
         n_layers: Linear layers from x to the velocity: input, hidden ones, output.
         x: Noisy chunks (N, B, D), to which no gradient is sent.
         side: FiLM bottleneck's output, or time features and context, (N, B, S).
@@ -84,7 +104,13 @@ class StackedField(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(
+    def forward(ctx: Any, precision: Precision, n_layers: int, x: Tensor, side: Tensor, *parameters: Tensor) -> Tensor:
+        ctx.precision = precision
+        with _tensor_cores(precision):
+            return StackedField._forward(ctx, PRECISIONS[precision], n_layers, x, side, *parameters)
+
+    @staticmethod
+    def _forward(
         ctx: Any, compute_dtype: torch.dtype, n_layers: int, x: Tensor, side: Tensor, *parameters: Tensor
     ) -> Tensor:
         dtype = x.dtype
@@ -112,6 +138,11 @@ class StackedField(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, velocity_gradient: Tensor) -> Any:
+        with _tensor_cores(ctx.precision):
+            return StackedField._backward(ctx, velocity_gradient)
+
+    @staticmethod
+    def _backward(ctx: Any, velocity_gradient: Tensor) -> Any:
         n_layers, film, dtype = ctx.n_layers, ctx.film, ctx.dtype
         if ctx.needs_input_grad[2]:
             raise NotImplementedError("StackedField sends no gradient to the noisy chunk")

@@ -72,7 +72,7 @@ class GraphedSteps:
             }
             for _ in range(HALVES)
         ]
-        self._one_schedule = len({_schedule(training) for training in trainings}) == 1
+        self._schedules = [_schedule(training) for training in trainings]
         self._losses = torch.zeros(HALVES * self._block, 2, len(trainings), device=device)
         self._place = torch.zeros(1, dtype=torch.int64, device=device)
         self._backend: Any = torch.cuda if device.type == "cuda" else torch.cpu
@@ -130,10 +130,10 @@ class GraphedSteps:
         for name, value in self._ahead.block(block).items():
             staging[name].copy_(value)
         self._ahead.release(block)
-        schedules = {_schedule(training): training for training in self._trainings}
+        schedules = dict(zip(self._schedules, self._trainings, strict=True))
         for offset in range(self._block):
             rates = {schedule: training.rate(first + offset) for schedule, training in schedules.items()}
-            staging[RATE][offset] = torch.tensor([rates[_schedule(training)] for training in self._trainings])
+            staging[RATE][offset] = torch.tensor([rates[schedule] for schedule in self._schedules])
         with self._backend.stream(self._copies):
             if block >= HALVES:
                 self._copies.wait_event(self._trained[half])
@@ -152,7 +152,7 @@ class GraphedSteps:
 
     def _step(self, result: tuple[Tensor, Tensor, Tensor, Sequence[Tensor]]) -> None:
         loss, flow, rates, gradients = result
-        self._optimizer.device_step(gradients, rates, together=self._one_schedule)
+        self._optimizer.device_step(gradients, rates, together=len(set(self._schedules)) == 1)
         self._losses.index_copy_(0, self._place, torch.stack([loss, flow])[None])
         self._place.add_(1).remainder_(len(self._losses))
 

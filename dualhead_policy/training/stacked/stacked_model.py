@@ -14,7 +14,7 @@ from torch.func import functional_call, vmap
 from dualhead_policy.flow.loss import LossWeights, flow_loss, training_loss
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.model.velocity_field import VelocityField
-from dualhead_policy.training.stacked.field_kernel import StackableField
+from dualhead_policy.training.stacked.field_kernel import Precision, StackableField
 from dualhead_policy.training.stacked.step_inputs import step_draws
 
 
@@ -26,13 +26,13 @@ class StackedModel:
 
     Args:
         models: The models of N runs. Each keeps its parameters, which from now on share the stack's memory.
-        compute_dtype: Type in which the velocity fields compute.
+        precision: Type in which the velocity fields compute.
 
     Attributes:
         parameters: Stacked parameters (N, ...) by name.
     """
 
-    def __init__(self, models: Sequence[DualheadModel], compute_dtype: torch.dtype):
+    def __init__(self, models: Sequence[DualheadModel], precision: Precision):
         self._models = models
         self.parameters: dict[str, Tensor] = {}
         for name, _ in models[0].named_parameters():
@@ -50,7 +50,7 @@ class StackedModel:
             field.name: torch.tensor([float(getattr(own, field.name)) for own in weights], device=device)
             for field in fields(LossWeights)
         }
-        self._loss = _ModelLoss(models[0], compute_dtype)
+        self._loss = _ModelLoss(models[0], precision)
 
     @contextmanager
     def in_own_memory(self, run: int) -> Iterator[None]:
@@ -81,12 +81,12 @@ class StackedModel:
 class _ModelLoss(nn.Module):
     """One run's loss as a module, for ``functional_call``."""
 
-    def __init__(self, model: DualheadModel, compute_dtype: torch.dtype):
+    def __init__(self, model: DualheadModel, precision: Precision):
         super().__init__()
         self.model = copy.deepcopy(model)
         for head, field in list(self.model.network.fields.items()):
             assert isinstance(field, VelocityField)
-            self.model.network.fields[head] = StackableField(field, compute_dtype)
+            self.model.network.fields[head] = StackableField(field, precision)
 
     def forward(self, weights: LossWeights, inputs: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         observation, action, token = inputs["observation"], inputs["action"], inputs.get("token")

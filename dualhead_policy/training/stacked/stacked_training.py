@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from dualhead_policy.training.stacked.field_kernel import Precision
 from dualhead_policy.training.stacked.graphed_steps import GraphedSteps
 from dualhead_policy.training.stacked.stacked_adam import StackedAdam
 from dualhead_policy.training.stacked.stacked_model import StackedModel
@@ -24,18 +25,19 @@ class StackedTraining:
 
     Args:
         trainings: The runs, of one stacking key (:mod:`.stacking_key`) and at one step.
-        compute_dtype: Type in which the velocity fields compute; weights, gradients and moments are float32.
+        precision: Type in which the velocity fields compute; weights, gradients and moments are float32. ``"tf32"`` is
+            float32 but for products on CUDA.
 
     Raises:
         ValueError: If the runs are not at one step.
     """
 
-    def __init__(self, trainings: Sequence[Training], *, compute_dtype: torch.dtype = torch.float32):
+    def __init__(self, trainings: Sequence[Training], *, precision: Precision = "fp32"):
         steps = sorted({training.step for training in trainings})
         if len(steps) != 1:
             raise ValueError(f"the runs of a stack are at steps {steps}, expected one: continue each alone")
         self.trainings = trainings
-        self._model = StackedModel([training.policy.model for training in trainings], compute_dtype)
+        self._model = StackedModel([training.policy.model for training in trainings], precision)
         self._parameters = list(self._model.parameters.values())
         self._optimizer = StackedAdam(
             self._model.parameters,

@@ -8,10 +8,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from dualhead_policy.training.checkpoints import last_step
 from dualhead_policy.training.sweep.sweep_file import SweepRun
+
+if TYPE_CHECKING:
+    from dualhead_policy.training.stacked.field_kernel import Precision
 
 #: Seconds between two reports of a group.
 REPORT_SECONDS = 0.5
@@ -29,7 +32,7 @@ class Group:
         name: Its name in the manifest.
         output: The sweep's folder.
         runs: The runs.
-        precision: ``"fp32"`` or ``"bf16"``: type in which the velocity fields compute.
+        precision: ``"fp32"``, ``"tf32"`` or ``"bf16"``: type in which the velocity fields compute.
         threads: Arithmetic threads, or None for torch's own choice.
     """
 
@@ -193,17 +196,15 @@ def _claimed_soon(folder: Path) -> Iterator[None]:
 
 def _train_together(group: Group, trainings: dict[str, Any]) -> dict[str, str]:
     """Train runs as one program; returns the sentence of every run that failed, by name."""
-    import torch
 
     from dualhead_policy.training.stacked.stacked_training import StackedTraining
 
-    dtype = {"fp32": torch.float32, "bf16": torch.bfloat16}[group.precision]
     logs = {name: training.begin() for name, training in trainings.items()}
     failed: dict[str, str] = {}
     running = dict(trainings)
     report = _reporter(group)
     while running:
-        stack = StackedTraining(list(running.values()), compute_dtype=dtype)
+        stack = StackedTraining(list(running.values()), precision=cast("Precision", group.precision))
         with contextlib.closing(stack):
             wrong = _train_on(stack, running, logs, group, report)
         if not wrong:

@@ -52,7 +52,7 @@ def plan_runs(runs: Sequence[SweepRun], output: Path, precision: str = "fp32") -
     Args:
         runs: The runs.
         output: The sweep's folder.
-        precision: ``"fp32"`` or ``"bf16"``.
+        precision: ``"fp32"``, ``"tf32"`` or ``"bf16"``.
 
     Raises:
         ValueError: If a configuration is wrong; names it.

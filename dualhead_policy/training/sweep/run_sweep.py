@@ -43,7 +43,7 @@ def run_sweep(
         output: The sweep's folder.
         jobs: Groups at a time.
         size: Largest number of runs in a group.
-        precision: ``"fp32"`` or ``"bf16"``.
+        precision: ``"fp32"``, ``"tf32"`` or ``"bf16"``.
         backend, address: Where the groups train; see :mod:`.workers`.
         show_progress: Whether to draw a bar.
 

@@ -18,6 +18,8 @@ actions. The words and thresholds are those of the report (:mod:`dualhead_eval.e
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +28,8 @@ from dualhead_eval.certificate.reading import CertificateReading, read_certifica
 from dualhead_eval.certificate.state import (
     new_state,
     read_state,
+    state_document,
+    state_of,
     write_state,
 )
 from dualhead_eval.effects.counts import INVALID, joint_table, validate_labels
@@ -245,6 +249,22 @@ class CoordinationCertificate:
         """
         certificate = cls.__new__(cls)
         certificate._state = read_state(path)
+        certificate._cache = None
+        return certificate
+
+    def to_dict(self) -> dict[str, Any]:
+        """The state as a JSON object, what :meth:`save` writes."""
+        return state_document(self._state)
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> CoordinationCertificate:
+        """Continue from a state that :meth:`to_dict` gave.
+
+        Raises:
+            ValueError: If it is not a certificate's.
+        """
+        certificate = cls.__new__(cls)
+        certificate._state = state_of(document, "the state")
         certificate._cache = None
         return certificate
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import uuid
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 from dualhead_eval.atomic_text import write_text
 from dualhead_eval.statistics.confidence_sequence import RunningMean, tuned_variance
@@ -138,7 +140,7 @@ def new_state(n_modes: int, alpha: float, margin: float, collapse: float, min_va
 
 def write_state(state: CertificateState, path: str | os.PathLike) -> None:
     """Write ``state`` as JSON, atomically."""
-    write_text(Path(path), json.dumps({"format": FORMAT, "state": asdict(state)}, indent=1, allow_nan=False))
+    write_text(Path(path), json.dumps(state_document(state), indent=1, allow_nan=False))
 
 
 def read_state(path: str | os.PathLike) -> CertificateState:
@@ -155,6 +157,24 @@ def read_state(path: str | os.PathLike) -> CertificateState:
         document = json.loads(source.read_text())
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{source} is not a complete certificate (truncated, or not JSON): save it again") from error
+    return state_of(document, str(source))
+
+
+def state_document(state: CertificateState) -> dict[str, Any]:
+    """``state`` as a JSON object."""
+    return {"format": FORMAT, "state": asdict(state)}
+
+
+def state_of(document: Any, source: str) -> CertificateState:
+    """The state in a JSON object that :func:`state_document` made.
+
+    Args:
+        document: The object.
+        source: Where it was read, for errors.
+
+    Raises:
+        ValueError: If it is not a certificate of this version, or holds what none can.
+    """
     found = document.get("format") if isinstance(document, dict) else None
     if found != FORMAT:
         raise ValueError(f"{source} has format {found!r}, expected {FORMAT!r}: save it again with this version")
@@ -162,9 +182,12 @@ def read_state(path: str | os.PathLike) -> CertificateState:
         stored = document["state"]
         values = {field.name: stored[field.name] for field in fields(CertificateState)}
         for name in MEANS:
-            values[name] = RunningMean(**values[name])
+            values[name] = _mean_of(values[name])
         for name in ("modes_q", "modes_p"):
-            values[name] = [RunningMean(**mean) for mean in values[name]]
+            values[name] = [_mean_of(mean) for mean in values[name]]
+        for name in ("tuned_pairs", "decisions", "pairs", "valid_pairs", "agreeing"):
+            if type(values[name]) is not int or values[name] < 0:
+                raise ValueError(f"{name} is no count")
         state = CertificateState(**values)
         new_state(state.n_modes, state.alpha, state.margin, state.collapse, state.min_valid_rate)
         if len(state.modes_q) != state.n_modes or len(state.modes_p) != state.n_modes:
@@ -172,3 +195,11 @@ def read_state(path: str | os.PathLike) -> CertificateState:
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{source} holds an inconsistent certificate ({error}): save it again") from error
     return state
+
+
+def _mean_of(stored: Any) -> RunningMean:
+    mean = RunningMean(**stored)
+    numbers = (mean.low, mean.high, mean.count, mean.total, mean.variance)
+    if not all(type(number) in (int, float) and math.isfinite(number) for number in numbers) or mean.count < 0:
+        raise ValueError("a running mean is no number")
+    return mean

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands.console import open_console, refuse_overwrite
 from dualhead_eval.commands.own_task import OWN_USES, add_own_inputs, add_own_options
-from dualhead_eval.commands.pictures import add_picture_options, require_films, show_films, show_preview
+from dualhead_eval.commands.pictures import add_picture_options, show_films, show_preview
+from dualhead_eval.commands.policy_draws import (
+    add_draw_options,
+    add_pair_input,
+    deterministic_note,
+    open_given_conditions,
+    open_pair,
+    open_sampler,
+)
 
 if TYPE_CHECKING:
     from dualhead_eval.evaluation.protocol import EvaluationProtocol
@@ -18,21 +27,24 @@ if TYPE_CHECKING:
 EPISODES = 50
 #: Options that serve only some of the uses, and which.
 SERVES = {
-    "dataset": ("policy", "exact", "record", "columns"),
-    "pairs": ("policy", "exact"),
-    "conditions": ("policy", "exact"),
-    "nfe": ("policy", "exact"),
+    "dataset": ("policy", "pair", "exact", "record", "columns"),
+    "pairs": ("policy", "pair", "exact"),
+    "conditions": ("policy", "pair", "exact"),
+    "nfe": ("policy", "pair", "exact"),
+    "draws": ("policy", "pair"),
+    "frame": ("policy", "pair"),
+    "path_names": ("policy", "pair"),
     "source_noise_beta": ("policy", "exact"),
     "redraw_token": ("policy", "exact"),
     "update_card": ("policy",),
-    "seed": ("policy", "exact", "record"),
+    "seed": ("policy", "pair", "exact", "record"),
     "episodes": ("record",),
     "samples": ("record", "columns"),
-    "horizon": ("columns",),
-    "partition": ("columns",),
-    "metres": ("columns",),
+    "horizon": ("columns", "policy", "pair"),
+    "partition": ("columns", "policy", "pair"),
+    "metres": ("columns", "policy", "pair"),
     "modes": ("labels",),
-    "tau": ("policy", "exact", "record", "rollouts", "columns"),
+    "tau": ("policy", "pair", "exact", "record", "rollouts", "columns"),
     "control": ("record",),
     "perturb": ("record",),
     "video": ("record", "rollouts"),
@@ -43,12 +55,14 @@ SERVES = {
 }
 
 DESCRIPTION = """\
-Sample both heads of a policy (or of the exact reference) under the test conditions of a dataset, label their
-modes and write the counts to a gate file; or count the predictions in recorded rollouts, in any LeRobotDataset,
-or anyone's labels.
+Sample pairs of chunks under the test conditions of a dataset, label their modes and write the counts to a gate
+file: both heads of a dual-head policy (or of the exact reference), two draws of any LeRobot policy, or one of each
+of two policies; or count the predictions in recorded rollouts, in any LeRobotDataset, or anyone's labels.
 
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --output ring.gate.json
   dualhead evaluate --policy outputs/A outputs/B --dataset data/ring/test --output gates/
+  dualhead evaluate --policy outputs/act --dataset data/v2/test --output act.gate.json
+  dualhead evaluate --pair outputs/A outputs/B --dataset data/v2/test --output pair.gate.json
   dualhead evaluate --exact --dataset data/ring/test --output exact.gate.json
   dualhead evaluate --exact --consistency-weight 3 --source-noise-beta 0 --dataset data/v2/test --output G.gate.json
   dualhead evaluate --policy outputs/ring --dataset data/ring/test --record data/rollouts --output loop.gate.json
@@ -69,8 +83,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="extend",
         nargs="+",
         metavar="DIR",
-        help="a checkpoint's folder, or a training run's output folder; of several, a gate file each",
+        help="a checkpoint's folder, a training run's output folder, or OWNER/NAME on the hub; of several, a "
+        "gate file each",
     )
+    add_pair_input(what)
     what.add_argument(
         "--exact",
         action="store_true",
@@ -100,6 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--update-card", action="store_true", help="with --policy: write the numbers into the policy's own card too"
     )
+    add_draw_options(parser)
     add_own_options(parser)
     loop = parser.add_argument_group("closed loop, with --policy")
     loop.add_argument(
@@ -153,7 +170,7 @@ def run(args: argparse.Namespace) -> int:
     if args.record is not None and not args.policy:
         raise ValueError("--record rolls out a policy: give --policy too")
     refuse_overwrite([args.video, args.preview], overwrite=args.overwrite)
-    given = [name for name in (*OWN_USES, "rollouts", "record", "exact") if getattr(args, name)]
+    given = [name for name in (*OWN_USES, "rollouts", "record", "exact", "pair") if getattr(args, name)]
     use = given[0] if given else "policy"
     _refuse_unused(args, use)
     if args.dataset is None and use == "columns":
@@ -199,7 +216,9 @@ def _refuse_for_several(args: argparse.Namespace) -> None:
 def _refuse_unused(args: argparse.Namespace, use: str) -> None:
     """Refuse an option that the given use would pass over."""
     for option, uses in SERVES.items():
-        if getattr(args, option) not in (None, False, []) and use not in uses:
+        value = getattr(args, option)
+        # 0 is given, although it equals False.
+        if not (value is None or value is False or value == []) and use not in uses:
             takers = " or ".join(f"--{name}" for name in uses)
             raise ValueError(
                 f"--{option.replace('_', '-')} has no meaning with --{use}: leave it out, or give {takers} instead"
@@ -237,14 +256,19 @@ def _protocol(args: argparse.Namespace) -> EvaluationProtocol:
 def _policies(args: argparse.Namespace) -> list[Gate]:
     from tqdm import tqdm
 
-    from dualhead_eval.evaluation.conditions import open_conditions
     from dualhead_eval.evaluation.many_policies import evaluate_policies
 
-    protocol, conditions = _protocol(args), open_conditions(args.dataset, args.conditions)
+    protocol, conditions = _protocol(args), open_given_conditions(args)
     total = len(args.policy) * len(conditions) * len(protocol.nfes)
     with tqdm(total=total, unit="condition", desc="sampling") as bar:
         gates = evaluate_policies(
-            args.policy, conditions, protocol, args.output, overwrite=args.overwrite, progress=bar.update
+            [(path, open_sampler(path, args)) for path in args.policy],
+            conditions,
+            protocol,
+            args.output,
+            own_steps=args.nfe is None,
+            overwrite=args.overwrite,
+            progress=bar.update,
         )
     return list(gates.values())
 
@@ -252,14 +276,14 @@ def _policies(args: argparse.Namespace) -> list[Gate]:
 def _sampled(args: argparse.Namespace) -> Gate:
     from tqdm import tqdm
 
-    from dualhead_eval.evaluation.conditions import open_conditions
     from dualhead_eval.evaluation.open_loop import evaluate
     from dualhead_eval.evaluation.policy_card import update_card
-    from dualhead_eval.evaluation.samplers import open_exact_reference, open_penalised_reference, open_policy
+    from dualhead_eval.evaluation.samplers import open_exact_reference, open_penalised_reference
     from dualhead_policy.pretrained import policy_folder
 
     protocol = _protocol(args)
-    conditions = open_conditions(args.dataset, args.conditions)
+    conditions = open_given_conditions(args)
+    sampler: Any
     if args.consistency_weight is not None:
         if args.token is not None:
             raise ValueError("--consistency-weight has no reference with a token: leave --token out")
@@ -269,11 +293,15 @@ def _sampled(args: argparse.Namespace) -> Gate:
         options = _given(args, token="token", token_replacement_prob="token_replacement_prob")
         sampler = open_exact_reference(conditions, **options)
     else:
-        sampler = open_policy(args.policy[0])
+        sampler = open_pair(args) if args.pair else open_sampler(args.policy[0], args)
+    if args.nfe is None:
+        protocol = replace(protocol, nfes=(sampler.default_nfe,))
     show_preview(args, sampler, conditions, protocol)
     with tqdm(total=len(conditions) * len(protocol.nfes), unit="condition", desc="sampling") as bar:
         gate = evaluate(sampler, conditions, protocol, _label(args), progress=bar.update)
     _write(gate, args)
+    if note := deterministic_note(sampler):
+        print(note)
     if args.update_card:
         print(f"numbers written to {update_card(sampler, policy_folder(args.policy[0]), gate)}")
     return gate
@@ -288,37 +316,8 @@ def _rollouts(args: argparse.Namespace) -> Gate:
 
 
 def _rolled_out(args: argparse.Namespace) -> Gate:
-    from tqdm import tqdm
+    from dualhead_eval.commands.roll_out import roll_out
 
-    from dualhead_envs.dataset_frames import read_split
-    from dualhead_eval.evaluation.closed_loop import record_rollouts
-    from dualhead_eval.evaluation.conditions import recorded_environment
-    from dualhead_policy.pretrained import load_policy, policy_folder
-    from dualhead_policy.training.provenance import policy_provenance
-
-    env_id, env_kwargs = recorded_environment(read_split(args.dataset))
-    if args.perturb is not None and "Bypass" not in env_id:
-        raise ValueError(
-            f"--perturb has no meaning in {env_id}: leave it out, only the robot environments are perturbed"
-        )
-    env_kwargs = {**env_kwargs, "control": args.control or "joint", **_given(args, perturbation="perturb")}
-    require_films(args, env_id, env_kwargs)
-    policy, preprocess = load_policy(args.policy[0])
-    episodes = EPISODES if args.episodes is None else args.episodes
-    with tqdm(total=episodes, unit="episode", desc="rolling out", delay=1) as bar:
-        loop, verdict = record_rollouts(
-            policy,
-            preprocess,
-            args.record,
-            env_id=env_id,
-            env_kwargs=env_kwargs,
-            episodes=episodes,
-            **_given(args, samples="samples", seed="seed"),
-            provenance=policy_provenance(policy, policy_folder(args.policy[0])),
-            progress=bar.update,
-        )
-    for refusal in loop.refusals:
-        print(refusal)
-    print(f"closed loop, {loop}; recorded in {args.record}\nruntime certificate after these episodes: {verdict}")
+    roll_out(args, EPISODES if args.episodes is None else args.episodes)
     args.rollouts = args.record
     return _rollouts(args)

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--runs", type=Path, help="folder of the training runs (default: outputs/studies)")
     parser.add_argument("--jobs", type=int, default=2, help="groups of runs or evaluations at a time (default: 2)")
-    parser.add_argument("--precision", choices=["fp32", "bf16"], default="fp32", help="as in `dualhead sweep`")
+    parser.add_argument("--precision", choices=["fp32", "tf32", "bf16"], default="fp32", help="as in `dualhead sweep`")
     parser.add_argument("--later", action="store_true", help="also what the study marks as `later`")
     parser.add_argument("--verdict-only", action="store_true", help="train and evaluate nothing")
     parser.add_argument("--no-progress", action="store_true", help="do not draw progress bars")

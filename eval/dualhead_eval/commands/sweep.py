@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stack", type=int, default=16, help="runs that train as one program at most (default: 16)")
     parser.add_argument(
         "--precision",
-        choices=["fp32", "bf16"],
+        choices=["fp32", "tf32", "bf16"],
         default="fp32",
         help="type in which the velocity fields compute (default: fp32; docs/sweeps.md compares them)",
     )

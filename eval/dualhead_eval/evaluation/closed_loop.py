@@ -1,9 +1,11 @@
-"""Closed loop: roll a two-head policy out and record it as a LeRobotDataset with both heads' predictions.
+"""Closed loop: roll a policy out and record it as a LeRobotDataset with the predictions of every decision.
 
 Beside the frames as executed (observations, dual action, reward), a rollout dataset holds
 
 - ``prediction.joint`` (n * H * d_A,) and ``prediction.position`` (n * H * d,): n >= 2 sampled chunks of each head in
   physical units, flattened, at decision frames (zeros elsewhere); with a third head ``prediction.rotation`` too;
+- of a policy of LeRobot's other types instead ``prediction.draw_1`` and ``prediction.draw_2`` (n * H * d,): the
+  positions of n pairs of independent draws, of which the very first is executed;
 - ``prediction.decision`` (1,): whether the policy decided in this frame;
 - ``certificate.*`` (1,): residual, verdict (its index), effect and capacity of the runtime certificate, which runs
   beside the robot over all episodes;
@@ -26,10 +28,9 @@ import numpy as np
 from dualhead_envs.recorded_environment import make_recorded
 from dualhead_envs.recording.staging import publish, staging_folder
 from dualhead_eval.certificate.wrapper import CERTIFICATE_FEATURES, CertificateWrapper, certificate_columns
-from dualhead_eval.evaluation.decisions import OBSERVATIONS, Decisions, held_pairs
+from dualhead_eval.evaluation.decisions import OBSERVATIONS, Decider, Decisions
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_FORMAT, ClosedLoop, closed_loop_of
 from dualhead_policy.modeling_dualhead import DualheadPolicy
-from dualhead_policy.representation import RepresentationLayout
 
 #: Longest reason of a refusal that is kept, in characters.
 LONGEST_REASON = 500
@@ -81,47 +82,67 @@ def record_rollouts(
         ValueError: If ``samples`` or ``episodes`` is below 1, ``samples`` leaves no fresh pair, the policy has another
             layout, lacks the head that is to drive, or was refused before the first step of every episode.
     """
+    if samples < 1:
+        raise ValueError(f"samples={samples} is not positive: give at least 1")
+    decisions = Decisions(policy, preprocess, samples)
+    return record_decisions(
+        decisions,
+        root,
+        env_id=env_id,
+        env_kwargs=env_kwargs,
+        episodes=episodes,
+        seed=seed,
+        provenance=provenance,
+        progress=progress,
+    )
+
+
+def record_decisions(
+    decisions: Decider,
+    root: str | Path,
+    *,
+    env_id: str,
+    env_kwargs: dict[str, Any],
+    episodes: int,
+    seed: int = 0,
+    provenance: Mapping[str, Any] | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> tuple[ClosedLoop, str]:
+    """Roll out what decides, of whichever policy; see :func:`record_rollouts`.
+
+    Raises:
+        FileExistsError: If ``root`` holds anything.
+        BlockingIOError: If another process records into ``root``.
+        ValueError: If ``episodes`` is below 1, the policy has another layout, cannot drive by this control, or was
+            refused before the first step of every episode.
+    """
     root = Path(root).resolve()
-    if samples < 1 or episodes < 1:
-        raise ValueError(f"samples={samples} and episodes={episodes} are not both positive: give at least 1 of each")
+    if episodes < 1:
+        raise ValueError(f"episodes={episodes} is not positive: give at least 1")
     if seed < 0:
         raise ValueError(f"seed={seed} is negative, which no environment takes: give 0 or more")
-    held = held_pairs(policy)
-    if samples <= held:
-        raise ValueError(
-            f"samples={samples} leaves no fresh pair: the first pair of each decision follows the token or latent that "
-            f"its episode holds; draw {held + 1} or more pairs per decision"
-        )
     control = env_kwargs["control"]
-    if control == "pose" and "rotation" not in policy.model.head_dims:
-        raise ValueError(
-            "control='pose' executes the orientation head, which this policy lacks: choose 'joint' or 'position', or "
-            "train with --policy.rotation_head=true"
-        )
+    decisions.require_control(control)
     env = make_recorded(env_id, env_kwargs, "the dataset")
     layout = env.unwrapped.layout  # type: ignore[attr-defined]
-    expected = RepresentationLayout.from_names(layout.action_names)
-    policy.representation.require_same(expected, owner="the policy", given=f"environment {env_id}")
+    decisions.require_layout(layout, env_id)
     executed = layout.control_indices(control)
     sidecar: dict[str, Any] = {
         "format": ROLLOUTS_FORMAT,
         "env_id": env_id,
         "env_kwargs": env_kwargs,
         "layout": layout.name,
-        "horizon": policy.config.chunk_size,
-        "samples": samples,
-        "held_pairs": held,
-        "num_inference_steps": policy.config.num_inference_steps,
+        "horizon": decisions.horizon,
+        "samples": decisions.samples,
+        "held_pairs": decisions.held,
+        "num_inference_steps": decisions.steps,
         "seed": seed,
         "partition": env.unwrapped.mode_partition.to_dict(),  # type: ignore[attr-defined]
     }
     with staging_folder(root) as folder:
-        features = _features(layout.dataset_features(), policy, samples)
+        features = _features(layout.dataset_features(), decisions)
         dataset = _create_dataset(folder / "dataset", root.name, layout.fps, features)
-        decisions = Decisions(policy, preprocess, samples)
-        watched = CertificateWrapper(
-            env, decisions, decision_interval=policy.config.n_action_steps or 1, held_pairs=held
-        )
+        watched = CertificateWrapper(env, decisions, decision_interval=decisions.interval, held_pairs=decisions.held)
         outcomes = []
         for episode in range(episodes):
             outcomes.append(_roll_out(watched, decisions, dataset, executed, seed + episode))
@@ -144,11 +165,11 @@ def record_rollouts(
     return loop, watched.certificate.verdict
 
 
-def _features(demonstrated: Mapping[str, dict], policy: DualheadPolicy, samples: int) -> dict[str, dict]:
+def _features(demonstrated: Mapping[str, dict], decisions: Decider) -> dict[str, dict]:
     """LeRobotDataset features of rollouts, given those of demonstrations."""
     features = {key: feature for key, feature in demonstrated.items() if key.startswith(("observation.", "action"))}
-    for head, dim in policy.model.head_dims.items():
-        shape = (samples * policy.config.chunk_size * dim,)
+    for head, dim in decisions.widths.items():
+        shape = (decisions.samples * decisions.horizon * dim,)
         features[f"prediction.{head}"] = {"dtype": "float32", "shape": shape, "names": None}
     flags = ("prediction.decision", "next.success")
     return {
@@ -168,7 +189,7 @@ def _create_dataset(root: Path, name: str, fps: int, features: dict[str, dict]) 
 
 
 def _roll_out(
-    env: CertificateWrapper, decisions: Decisions, dataset: Any, executed: np.ndarray, seed: int
+    env: CertificateWrapper, decisions: Decider, dataset: Any, executed: np.ndarray, seed: int
 ) -> dict[str, Any]:
     """Run one episode and add its frames to the dataset; returns what became of it.
 
@@ -188,6 +209,7 @@ def _roll_out(
         observation, info = env.reset(seed=seed)
     except ValueError as error:
         return outcome | {"refused": _one_line(error)}
+    decisions.observe(observation)
     done = False
     while not done:
         decided, certificate = info["coordination"]["decision"], certificate_columns(info)
@@ -211,6 +233,7 @@ def _roll_out(
         outcome |= {name: kind(info[key]) for name, key, kind in OUTCOME} | {"frames": outcome["frames"] + 1}
         # Robot environments say why an episode failed, and when its perturbation began.
         outcome |= {key: info[key] for key in ("failure", "onset") if key in info}
+        decisions.observe(after)
         observation, done = after, terminated or truncated
     return outcome
 

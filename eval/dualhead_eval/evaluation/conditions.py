@@ -23,12 +23,17 @@ class ConditionBank:
         observation: Raw observations by LeRobot key, each (B, dim).
         pair_ids: Demonstration pair of each condition (B,).
         partition: The environment's mode partition.
-        kinematic_map: The dataset's or environment's map from head A's space to the position.
+        kinematic_map: The dataset's or environment's map from head A's space to the position; empty if unknown.
         target_probabilities: Mode frequencies of the data, or None if unknown.
         direction: Direction that separates the modes of every condition (B, d), or None where a pair of
             demonstrations is incomplete.
         env_kwargs: Keyword arguments of the environment.
         provenance: Where the conditions came from.
+        horizon: Steps of the window after the branch, in which a mode is told.
+        action_names: Names of the dimensions of the dataset's action.
+        path_names: Dimensions of the action that are the path; empty for those called ``position.*`` or ``joint.*``.
+        metres: Whether paths are in metres.
+        frames: The split that the conditions are frames of, and which; None where only they are known.
     """
 
     observation: Mapping[str, np.ndarray]
@@ -39,14 +44,19 @@ class ConditionBank:
     direction: np.ndarray | None
     env_kwargs: dict[str, Any]
     provenance: dict[str, Any]
+    horizon: int = 16
+    action_names: tuple[str, ...] = ()
+    path_names: tuple[str, ...] = ()
+    metres: bool = True
+    frames: tuple[SplitFrames, np.ndarray] | None = None
 
     def __len__(self) -> int:
         return len(self.pair_ids)
 
     @property
     def state(self) -> np.ndarray:
-        """The environment's state of every condition (B, C)."""
-        return self.observation["observation.environment_state"]
+        """The environment's state of every condition (B, C); the robot's where the dataset has no other."""
+        return self.observation.get("observation.environment_state", next(iter(self.observation.values())))
 
     def __getitem__(self, rows: slice) -> ConditionBank:
         """Some of the conditions."""
@@ -55,7 +65,22 @@ class ConditionBank:
             observation={key: value[rows] for key, value in self.observation.items()},
             pair_ids=self.pair_ids[rows],
             direction=None if self.direction is None else self.direction[rows],
+            frames=None if self.frames is None else (self.frames[0], self.frames[1][rows]),
         )
+
+    def history(self, steps: int) -> dict[str, np.ndarray]:
+        """The last ``steps`` observations of every condition, as its demonstration went: each (B, steps, dim).
+
+        Raises:
+            ValueError: If the conditions are no frames of a recorded split and more than the present one is asked for.
+        """
+        if steps == 1:
+            return {key: value[:, None] for key, value in self.observation.items()}
+        if self.frames is None:
+            raise ValueError(
+                f"the conditions are single observations, expected {steps} in a row: open a recorded split"
+            )
+        return self.frames[0].history(self.frames[1], steps)
 
 
 def open_conditions(root: str | Path, limit: int | None = None) -> ConditionBank:
@@ -74,7 +99,8 @@ def open_conditions(root: str | Path, limit: int | None = None) -> ConditionBank
     conditions = frames.conditions()
     if limit is not None and not 1 <= limit <= len(conditions):
         raise ValueError(f"{root} holds {len(conditions)} conditions, {limit} were asked for: give 1 to that many")
-    windows = frames.mode_windows(frames.sidecar.get("horizon", 16))
+    horizon = frames.sidecar.get("horizon", 16)
+    windows = frames.mode_windows(horizon)
     bank = ConditionBank(
         observation=conditions.observation,
         pair_ids=conditions.pair,
@@ -91,6 +117,9 @@ def open_conditions(root: str | Path, limit: int | None = None) -> ConditionBank
                 "fingerprint": frames.fingerprint,
             }
         },
+        horizon=horizon,
+        action_names=tuple(frames.action_names),
+        frames=(frames, conditions.frame),
     )
     return bank[:limit]
 

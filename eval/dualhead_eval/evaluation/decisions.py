@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 
+from dualhead_envs.layout import Layout
 from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.representation import RepresentationLayout
 from dualhead_policy.sampling import SamplingCoupling
 
 #: Observations by LeRobot key, as the environments name them.
@@ -25,6 +27,52 @@ def held_pairs(policy: DualheadPolicy) -> int:
     return int(holds_token or policy.model.shared_latent is not None)
 
 
+class Decider(Protocol):
+    """What decides in closed loop, and what a recording needs of it.
+
+    Attributes:
+        samples: Pairs of chunks per decision.
+        horizon: Steps of a recorded chunk.
+        interval: Actions executed before the next decision.
+        held: Pairs of a decision that follow what the episode holds.
+        steps: Denoising or integration steps of a sample.
+        widths: Columns of predictions by name, with the dimensions of one step.
+        predictions: The last decision's chunks, as the dataset's columns.
+        blank: The same columns where nothing was decided.
+        chunk: Actions of the last decision that are still to be executed.
+    """
+
+    samples: int
+    horizon: int
+    interval: int
+    held: int
+    steps: int
+    widths: dict[str, int]
+    predictions: dict[str, np.ndarray]
+    blank: dict[str, np.ndarray]
+    chunk: list[np.ndarray]
+
+    def require_control(self, control: str) -> None:
+        """Refuse a control that the policy cannot drive."""
+        ...
+
+    def require_layout(self, layout: Layout, env_id: str) -> None:
+        """Refuse an environment of another layout."""
+        ...
+
+    def start(self, seed: int) -> None:
+        """Begin an episode."""
+        ...
+
+    def observe(self, observation: Mapping[str, Any]) -> None:
+        """See an observation, decision or not."""
+        ...
+
+    def __call__(self, observation: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Decide; returns the paths (n, H, d) of every pair in metres."""
+        ...
+
+
 class Decisions:
     """Samples both heads whenever it is called, and keeps what a rollout needs.
 
@@ -32,6 +80,9 @@ class Decisions:
         policy: The policy.
         preprocess: Its preprocessor.
         samples: Pairs of chunks per decision.
+
+    Raises:
+        ValueError: If all of a decision's pairs would follow what the episode holds.
 
     Attributes:
         generator: Source of all draws of one episode.
@@ -42,10 +93,44 @@ class Decisions:
 
     def __init__(self, policy: DualheadPolicy, preprocess: Callable[[Any], Any], samples: int) -> None:
         self.policy, self.preprocess, self.samples = policy, preprocess, samples
+        self.horizon, self.interval = policy.config.chunk_size, policy.config.n_action_steps or 1
+        self.held, self.steps = held_pairs(policy), policy.config.num_inference_steps
+        self.widths = dict(policy.model.head_dims)
+        if samples <= self.held:
+            raise ValueError(
+                f"samples={samples} leaves no fresh pair: the first pair of each decision follows the token or latent "
+                f"that its episode holds; draw {self.held + 1} or more pairs per decision"
+            )
+        self.predictions: dict[str, np.ndarray] = {}
+        self.chunk: list[np.ndarray] = []
         self.blank = {
             f"prediction.{head}": np.zeros(samples * policy.config.chunk_size * dim, dtype=np.float32)
             for head, dim in policy.model.head_dims.items()
         }
+
+    def require_control(self, control: str) -> None:
+        """Refuse the pose where the policy has no orientation head.
+
+        Raises:
+            ValueError: In one sentence.
+        """
+        if control == "pose" and "rotation" not in self.policy.model.head_dims:
+            raise ValueError(
+                "control='pose' executes the orientation head, which this policy lacks: choose 'joint' or 'position', "
+                "or train with --policy.rotation_head=true"
+            )
+
+    def require_layout(self, layout: Layout, env_id: str) -> None:
+        """Refuse an environment of another layout.
+
+        Raises:
+            ValueError: In one sentence about the difference.
+        """
+        expected = RepresentationLayout.from_names(layout.action_names)
+        self.policy.representation.require_same(expected, owner="the policy", given=f"environment {env_id}")
+
+    def observe(self, observation: Mapping[str, Any]) -> None:
+        """A dual-head policy has no past."""
 
     def start(self, seed: int) -> None:
         """Begin an episode: its draws, and its token or latent."""

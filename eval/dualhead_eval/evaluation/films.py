@@ -11,7 +11,7 @@ recorded.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,7 @@ def film_rollouts(
             itself under the installed version of the environment.
     """
     written = []
-    for number, frames, fps in rollout_frames(root, episodes=episodes):
+    for number, frames, fps in rollout_frames(root, range(episodes)):
         path = Path(folder) / f"episode_{number:03}.mp4"
         write_bytes(path, _encode(frames, fps))
         written.append(path)
@@ -78,8 +78,17 @@ def film_rollouts(
     return written
 
 
-def rollout_frames(root: str | Path, *, episodes: int = EPISODES) -> Iterator[tuple[int, np.ndarray, int]]:
-    """Number, frames (T, height, width, 3) uint8 and frames per second of the first recorded episodes, one by one."""
+def rollout_frames(
+    root: str | Path, episodes: Iterable[int], *, stride: int | None = None, start: int = 0
+) -> Iterator[tuple[int, np.ndarray, int]]:
+    """Number, frames (T, height, width, 3) uint8 and frames per second of recorded episodes, one by one.
+
+    Args:
+        root: The dataset.
+        episodes: Numbers of episodes; those beyond the last are passed over.
+        stride: Show every so many steps; by default every one, or every second of a long episode.
+        start: The first step to show.
+    """
     root = Path(root)
     decisions = read_decisions(root)
     sidecar = decisions.sidecar
@@ -87,11 +96,12 @@ def rollout_frames(root: str | Path, *, episodes: int = EPISODES) -> Iterator[tu
     env = open_filmed(sidecar["env_id"], sidecar["env_kwargs"], str(root))
     # An episode that was refused before its first step is not in the data.
     seeds = [outcome["seed"] for outcome in sidecar["outcomes"] if outcome.get("frames") != 0]
-    for number, seed in enumerate(seeds[:episodes]):
+    for number in (number for number in episodes if number < len(seeds)):
         frames = np.flatnonzero(columns["episode_index"].reshape(-1) == number)
-        stride = 1 if len(frames) < _EVERY_SECOND else 2
-        pictures = _repeat(env, decisions, columns, frames, seed, stride, str(root))
-        yield number, pictures, min(env.metadata["render_fps"] // stride, max(1, round(len(pictures) / _SHORTEST)))
+        every = stride or (1 if len(frames) < _EVERY_SECOND else 2)
+        steps = range(start, len(frames), every)
+        pictures = _repeat(env, decisions, columns, frames, seeds[number], steps, str(root))
+        yield number, pictures, min(env.metadata["render_fps"] // every, max(1, round(len(pictures) / _SHORTEST)))
     env.close()
 
 
@@ -101,7 +111,7 @@ def _repeat(
     columns: Mapping[str, np.ndarray],
     frames: np.ndarray,
     seed: int,
-    stride: int,
+    steps: range,
     source: str,
 ) -> np.ndarray:
     """Pictures of one episode, by repeating it."""
@@ -119,7 +129,7 @@ def _repeat(
             )
         if frame in at:
             shown = _decided(decisions, at[frame])
-        if step % stride == 0:
+        if step in steps:
             pictures.append(under_line(bare.picture(shown.ribbons), f"step {step}", shown.words, shown.heads))
         observation, _, _, _, info = env.step(columns["action"][frame][executed])
     end = "success" if info["is_success"] else "collision" if info["collision"] else "no success"

@@ -78,33 +78,38 @@ class LabelledPairs:
         partition: ModePartition,
         direction: np.ndarray | None = None,
         rotations: tuple[np.ndarray, np.ndarray] | None = None,
+        *,
+        heads: tuple[str, str] = HEADS,
+        metres: bool = True,
     ) -> LabelledPairs:
-        """Score both heads' paths (conditions, pairs, H, d) in metres.
+        """Score both heads' paths (conditions, pairs, H, d).
 
         Args:
-            joint: Head A's paths, mapped to positions.
-            position: Head B's paths.
+            joint: Head A's paths, mapped to positions; or a first draw's.
+            position: Head B's paths; or a second draw's.
             condition: (conditions, C).
             partition: The environment's mode partition.
             direction: Direction that separates the modes of every condition (conditions, d), or None.
             rotations: Orientations as 6-D rotations (conditions, pairs, H, 6): those of the joint head, and the
                 orientation head's own; or None. Their modes are told apart where the partition has a rule for it.
+            heads: What the two are called.
+            metres: Whether paths are in metres; if not, there are no residuals.
         """
         scores = [partition.score(path, condition[:, None]) for path in (joint, position)]
-        label, strength = ({head: score[i] for head, score in zip(HEADS, scores, strict=True)} for i in (0, 1))
-        residuals = {"position": PairResidual(position_residual_mm(joint, position))}
-        if direction is not None:
+        label, strength = ({head: score[i] for head, score in zip(heads, scores, strict=True)} for i in (0, 1))
+        residuals = {"position": PairResidual(position_residual_mm(joint, position), heads)} if metres else {}
+        if metres and direction is not None:
             lateral, orthogonal = split_residual_mm(joint, position, direction[:, None])
-            residuals["position/lateral"] = PairResidual(lateral)
-            residuals["position/orthogonal"] = PairResidual(orthogonal)
+            residuals["position/lateral"] = PairResidual(lateral, heads)
+            residuals["position/orthogonal"] = PairResidual(orthogonal, heads)
         if rotations is not None:
             companion = getattr(partition, "assign_rotation", None)
             if companion is not None:
                 label[ROTATION] = companion(rotations[1], condition[:, None])
                 strength[ROTATION] = np.full(label[ROTATION].shape, np.inf)
             # Where no rule tells orientations apart, the positions' modes stratify their residual.
-            heads = ("joint", ROTATION) if companion is not None else HEADS
-            residuals[ROTATION] = PairResidual(rotation_residual_deg(*rotations), heads, "deg")
+            strata = ("joint", ROTATION) if companion is not None else heads
+            residuals[ROTATION] = PairResidual(rotation_residual_deg(*rotations), strata, "deg")
         return cls(label, strength, residuals)
 
     @property

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from dualhead_eval.evaluation.conditions import ConditionBank
-from dualhead_eval.evaluation.open_loop import evaluate, gate_provenance
+from dualhead_eval.evaluation.open_loop import PairSource, evaluate, gate_provenance
 from dualhead_eval.evaluation.protocol import EvaluationProtocol
-from dualhead_eval.evaluation.samplers import EvaluatedSampler, open_policy
 from dualhead_eval.gate import Gate, read_gate, write_gate
 
 #: Parts of a policy's path that its run's name is not among.
@@ -22,43 +22,46 @@ _LAYOUT = ("checkpoints", "pretrained_model", "last")
 
 
 def evaluate_policies(
-    paths: Sequence[str | Path],
+    policies: Sequence[tuple[str | Path, PairSource]],
     conditions: ConditionBank,
     protocol: EvaluationProtocol,
     folder: str | Path,
     *,
+    own_steps: bool = False,
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> dict[Path, Gate]:
     """Evaluate policies into ``folder/NAME.gate.json``, NAME being each run's.
 
-    All policies are opened before the first is evaluated, so that one that does not fit costs nothing. Gate files of
+    All policies are checked before the first is evaluated, so that one that does not fit costs nothing. Gate files of
     the same checkpoint, conditions and protocol, which an interrupted call has left, are kept.
 
     Args:
-        paths: Hub folders, or training runs' output folders.
+        policies: Each with its path: a hub folder, or a training run's output folder.
         conditions: What to evaluate under.
         protocol: Pairs, NFEs, thresholds, seed and coupling.
         folder: Where the gate files go.
+        own_steps: Whether every policy takes its own number of steps instead of the protocol's.
         overwrite: Whether to replace gate files of other evaluations.
         progress: Called with the number of conditions done, or kept, at each NFE.
 
     Returns:
-        Gates by file, in the order of ``paths``.
+        Gates by file, in the order of ``policies``.
 
     Raises:
-        FileNotFoundError: If there is no policy.
         FileExistsError: If a file holds something else and ``overwrite`` is false.
         ValueError: If two policies have one name or are one checkpoint, or one does not fit the conditions.
     """
-    files: dict[Path, EvaluatedSampler] = {}
+    files: dict[Path, PairSource] = {}
+    protocols: dict[Path, EvaluationProtocol] = {}
     kept: dict[Path, Gate] = {}
     known: dict[str, str | Path] = {}
-    for path in paths:
+    for path, sampler in policies:
         file = Path(folder) / f"{run_name(path)}.gate.json"
         if file in files:
             raise ValueError(f"two policies are called {run_name(path)!r}: rename a folder, or evaluate them apart")
-        files[file] = open_policy(path)
+        files[file] = sampler
+        protocols[file] = replace(protocol, nfes=(sampler.default_nfe,)) if own_steps else protocol
         try:
             files[file].require_conditions(conditions)
         except ValueError as error:
@@ -68,7 +71,7 @@ def evaluate_policies(
             raise ValueError(f"{known[checkpoint]} and {path} hold the same checkpoint: leave one of them out")
         known[checkpoint] = path
         if file.exists():
-            found = _same_evaluation(file, files[file], conditions, protocol)
+            found = _same_evaluation(file, files[file], conditions, protocols[file])
             if found is not None:
                 kept[file] = found
             elif not overwrite:
@@ -80,7 +83,7 @@ def evaluate_policies(
             if progress is not None:
                 progress(len(conditions) * len(protocol.nfes))
             continue
-        gates[file] = evaluate(sampler, conditions, protocol, _label(file), progress=progress)
+        gates[file] = evaluate(sampler, conditions, protocols[file], _label(file), progress=progress)
         write_gate(gates[file], file, overwrite=overwrite)
     return gates
 
@@ -100,7 +103,7 @@ def _label(file: Path) -> str:
 
 
 def _same_evaluation(
-    file: Path, sampler: EvaluatedSampler, conditions: ConditionBank, protocol: EvaluationProtocol
+    file: Path, sampler: PairSource, conditions: ConditionBank, protocol: EvaluationProtocol
 ) -> Gate | None:
     """The gate in ``file`` if it is what evaluating would give, None if it is another."""
     gate = read_gate(file)

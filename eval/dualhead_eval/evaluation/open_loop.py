@@ -1,4 +1,4 @@
-"""Open-loop evaluation: sample both heads under every condition, label their paths, count them into a gate.
+"""Open-loop evaluation: sample pairs of chunks under every condition, label their paths, count them into a gate.
 
 Whatever is sampled walks the conditions in the same groups (:func:`label_conditions`) and is counted by the same rule
 (:func:`count_pairs`): ensembles do so as well.
@@ -7,18 +7,40 @@ Whatever is sampled walks the conditions in the same groups (:func:`label_condit
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 from dualhead_eval.evaluation.conditions import ConditionBank
 from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, make_gate
 from dualhead_eval.evaluation.protocol import EvaluationProtocol
-from dualhead_eval.evaluation.samplers import EvaluatedSampler
 from dualhead_eval.gate import Gate
-from dualhead_policy.kinematics.rotation6d import columns_from_matrix
+
+
+class PairSource(Protocol):
+    """What pairs of chunks come from: two heads of one sampler, two draws of one head, or two policies."""
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What a gate says of it; complete once :meth:`require_conditions` has been called."""
+        ...
+
+    @property
+    def default_nfe(self) -> int:
+        """Integration or denoising steps per sample, where the caller asks for no number."""
+        ...
+
+    def require_conditions(self, conditions: ConditionBank) -> None:
+        """Refuse conditions that do not fit."""
+        ...
+
+    def label_pairs(
+        self, conditions: ConditionBank, protocol: EvaluationProtocol, nfe: int, group: int
+    ) -> LabelledPairs:
+        """The protocol's pairs under one group of conditions."""
+        ...
 
 
 def evaluate(
-    sampler: EvaluatedSampler,
+    sampler: PairSource,
     conditions: ConditionBank,
     protocol: EvaluationProtocol,
     label: str,
@@ -28,7 +50,8 @@ def evaluate(
     """Evaluate a sampler under every condition, for every NFE and threshold of the protocol.
 
     Args:
-        sampler: A policy or the exact reference; see :mod:`dualhead_eval.evaluation.samplers`.
+        sampler: Two heads of a policy or of the exact reference (:mod:`dualhead_eval.evaluation.samplers`), two draws
+            of one head, or two policies (:mod:`dualhead_eval.evaluation.draws`).
         conditions: What to evaluate under; see :func:`dualhead_eval.evaluation.conditions.open_conditions`.
         protocol: Pairs, NFEs, thresholds, seed and coupling.
         label: Name of the run in tables.
@@ -40,7 +63,7 @@ def evaluate(
     sampler.require_conditions(conditions)
 
     def label_group(group: ConditionBank, nfe: int, number: int) -> LabelledPairs:
-        return _label_pairs(sampler, group, protocol, nfe, protocol.group_seeds(nfe, number)[0])
+        return sampler.label_pairs(group, protocol, nfe, number)
 
     pairs = label_conditions(conditions, protocol, label_group, progress)
     return count_pairs(pairs, conditions, protocol, gate_provenance(sampler, conditions, protocol, label))
@@ -85,28 +108,7 @@ def count_pairs(
 
 
 def gate_provenance(
-    sampler: EvaluatedSampler, conditions: ConditionBank, protocol: EvaluationProtocol, label: str
+    sampler: PairSource, conditions: ConditionBank, protocol: EvaluationProtocol, label: str
 ) -> dict[str, Any]:
     """What a gate says of its evaluation, beside versions and partition."""
     return {"label": label, **sampler.provenance, **conditions.provenance, **protocol.describe()}
-
-
-def _label_pairs(
-    sampler: EvaluatedSampler, conditions: ConditionBank, protocol: EvaluationProtocol, nfe: int, seed: int
-) -> LabelledPairs:
-    """The protocol's pairs under one group of conditions."""
-    samples = sampler.sample(conditions, protocol.pairs, nfe, protocol.coupling, seed)
-    kinematics = sampler.kinematics
-    joint = samples.joint.double()
-    rotations = None
-    if samples.rotation is not None:
-        joint_rotation = columns_from_matrix(kinematics.rotation(joint))
-        rotations = (joint_rotation.cpu().numpy(), samples.rotation.double().cpu().numpy())
-    return LabelledPairs.from_paths(
-        kinematics.position(joint).cpu().numpy(),
-        samples.position.double().cpu().numpy(),
-        conditions.state,
-        conditions.partition,
-        conditions.direction,
-        rotations,
-    )

@@ -11,9 +11,11 @@ import numpy as np
 
 from dualhead_envs.dataset_columns import read_columns, read_info
 from dualhead_envs.dataset_sidecar import SIDECAR, read_rollout_sidecar
-from dualhead_eval.evaluation.labelled_pairs import ModePartition
+from dualhead_eval.evaluation.labelled_pairs import HEADS, ModePartition
 
-_PREDICTIONS = ("prediction.joint", "prediction.position", "prediction.decision")
+#: Both heads of a dual-head policy, or two draws of one of LeRobot's other types.
+_HEADS = ("prediction.joint", "prediction.position")
+_DRAWS = ("prediction.draw_1", "prediction.draw_2")
 
 
 @dataclass(frozen=True)
@@ -26,9 +28,10 @@ class RecordedDecisions:
         frame: Index of each decision's frame in the dataset (D,).
         episode: Episode of each decision (D,).
         condition: ``environment_state`` at each decision (D, C).
-        joint: The joint head's chunks as positions (D, n, H, d) in metres.
-        position: The position head's chunks (D, n, H, d) in metres.
+        joint: The joint head's chunks as positions (D, n, H, d) in metres; or first draws.
+        position: The position head's chunks (D, n, H, d) in metres; or second draws.
         held: How many of the n pairs follow the token or latent that the episode holds.
+        heads: What the two are called.
     """
 
     sidecar: dict[str, Any]
@@ -39,6 +42,7 @@ class RecordedDecisions:
     joint: np.ndarray
     position: np.ndarray
     held: int
+    heads: tuple[str, str] = HEADS
 
 
 def read_decisions(root: str | Path) -> RecordedDecisions:
@@ -57,13 +61,16 @@ def read_decisions(root: str | Path) -> RecordedDecisions:
 
     root = Path(root)
     info, sidecar = read_info(root), read_rollout_sidecar(root / SIDECAR)
-    missing = [key for key in _PREDICTIONS if key not in info["features"]]
+    drawn = _DRAWS[0] in info["features"]
+    pair = _DRAWS if drawn else _HEADS
+    keys = [*pair, "prediction.decision"]
+    missing = [key for key in keys if key not in info["features"]]
     if missing:
         raise ValueError(
             f"{root} is not a dataset of recorded rollouts (lacks {missing}): record one with `dualhead evaluate "
             "--policy ... --record DIR`"
         )
-    columns = read_columns(root, info, [*_PREDICTIONS, "observation.environment_state", "episode_index"])
+    columns = read_columns(root, info, [*keys, "observation.environment_state", "episode_index"])
     decision = columns["prediction.decision"].reshape(-1).astype(bool)
     if not decision.any():
         raise ValueError(f"{root} holds no decision: expected prediction.decision to be true in some frames")
@@ -89,14 +96,17 @@ def read_decisions(root: str | Path) -> RecordedDecisions:
             )
         return values.reshape(len(values), n, horizon, -1)
 
-    joint = torch.from_numpy(chunks("prediction.joint")).double()
+    first, second = (chunks(key).astype(np.float64) for key in pair)
+    if not drawn:
+        first = KinematicMap(sidecar["layout"]).position(torch.from_numpy(first)).numpy()
     return RecordedDecisions(
         sidecar=sidecar,
         partition=partition,
         frame=np.flatnonzero(decision),
         episode=columns["episode_index"].reshape(-1)[decision],
         condition=columns["observation.environment_state"][decision],
-        joint=KinematicMap(sidecar["layout"]).position(joint).numpy(),
-        position=chunks("prediction.position").astype(np.float64),
+        joint=first,
+        position=second,
         held=held,
+        heads=("draw 1", "draw 2") if drawn else HEADS,
     )

@@ -146,7 +146,7 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
 
     Raises:
         FileNotFoundError: If there is no dataset.
-        ValueError: If it holds no predictions of both heads, or does not say which pairs are held.
+        ValueError: If it holds no pairs of predictions, or does not say which pairs are held.
     """
     from dualhead_eval.evaluation.recorded_decisions import read_decisions
 
@@ -154,7 +154,11 @@ def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | N
     decisions = read_decisions(root)
     sidecar, fresh = decisions.sidecar, slice(decisions.held, None)
     pairs = LabelledPairs.from_paths(
-        decisions.joint[:, fresh], decisions.position[:, fresh], decisions.condition, decisions.partition
+        decisions.joint[:, fresh],
+        decisions.position[:, fresh],
+        decisions.condition,
+        decisions.partition,
+        heads=decisions.heads,
     )
     nfe = sidecar["num_inference_steps"]
     return make_gate(

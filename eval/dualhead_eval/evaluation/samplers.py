@@ -10,7 +10,10 @@ from typing import Any
 import torch
 
 from dualhead_eval.evaluation.conditions import ConditionBank
+from dualhead_eval.evaluation.labelled_pairs import LabelledPairs
+from dualhead_eval.evaluation.protocol import FROZEN_NFE, EvaluationProtocol
 from dualhead_policy.kinematics.kinematic_map import KinematicMap
+from dualhead_policy.kinematics.rotation6d import columns_from_matrix
 from dualhead_policy.representation import require_observations
 from dualhead_policy.sampling import HeadSamples, Sampler, SamplingCoupling
 
@@ -54,6 +57,32 @@ class EvaluatedSampler:
         raw = {key: torch.from_numpy(value) for key, value in conditions.observation.items()}
         generator = torch.Generator().manual_seed(seed)
         return self.sampler.sample(self.preprocess(raw), pairs, num_steps=nfe, coupling=coupling, generator=generator)
+
+    @property
+    def default_nfe(self) -> int:
+        """The frozen protocol's Euler steps."""
+        return FROZEN_NFE
+
+    def label_pairs(
+        self, conditions: ConditionBank, protocol: EvaluationProtocol, nfe: int, group: int
+    ) -> LabelledPairs:
+        """The protocol's pairs of both heads under one group of conditions."""
+        seed = protocol.group_seeds(nfe, group)[0]
+        samples = self.sample(conditions, protocol.pairs, nfe, protocol.coupling, seed)
+        kinematics = self.kinematics
+        joint = samples.joint.double()
+        rotations = None
+        if samples.rotation is not None:
+            joint_rotation = columns_from_matrix(kinematics.rotation(joint))
+            rotations = (joint_rotation.cpu().numpy(), samples.rotation.double().cpu().numpy())
+        return LabelledPairs.from_paths(
+            kinematics.position(joint).cpu().numpy(),
+            samples.position.double().cpu().numpy(),
+            conditions.state,
+            conditions.partition,
+            conditions.direction,
+            rotations,
+        )
 
 
 def open_policy(path: str | Path, *, device: str = "cpu") -> EvaluatedSampler:

@@ -20,6 +20,8 @@ from dualhead_eval.residuals.strata import ResidualStrata
 ROLLOUTS = "recorded rollouts"
 #: The same of a gate that was counted from a table of labels: its threshold 0 and its step 1 stand for labels as given.
 LABEL_TABLE = "label table"
+#: The same of two draws of one policy, and of one draw of each of two.
+DRAWS, POLICY_PAIR = "draws of one policy", "two policies"
 
 
 @dataclass(frozen=True, eq=False)

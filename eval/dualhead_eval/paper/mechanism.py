@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dualhead_eval.gate import Gate
+from dualhead_eval.gate.gate import DRAWS, POLICY_PAIR
 from dualhead_eval.statistics.training_record import policy_provenance_of
 
 #: Partition name to the paper's environment prefix.
@@ -127,6 +128,8 @@ def mechanism_of(gate: Gate) -> Mechanism:
     standard = standard and dataset.get("path_spread", 0.08) == 0.08
     # The paper's rows are sampled under test conditions, not recorded in closed loop.
     standard = standard and "rollouts" not in provenance
+    # Nor are they two draws of one head, or of LeRobot's other policies.
+    standard = standard and provenance.get("method") not in (DRAWS, POLICY_PAIR)
     # The third head's runs (tab:pose) are no rows of tab:v3.
     standard = standard and not settings.get("rotation_head", False)
     return Mechanism(

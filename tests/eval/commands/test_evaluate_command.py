@@ -129,7 +129,7 @@ def test_protocol_numbers_reach_the_policys_card(trained, ring_data, tmp_path):
         (["--exact", "--dataset", "{data}/test", "--tau", "nan"], "finite thresholds"),
         (["--exact", "--dataset", "{data}/test", "--conditions", "13"], "holds 12 conditions"),
         (["--exact", "--dataset", "{data}/test", "--control", "pose"], "give --record instead"),
-        (["--rollouts", "{data}/test", "--nfe", "5"], "give --policy or --exact instead"),
+        (["--rollouts", "{data}/test", "--nfe", "5"], "give --policy or --pair or --exact instead"),
         (["--exact", "--dataset", "{data}/test", "--source-noise-beta", "2"], "outside"),
         (["--rollouts", "{data}/test"], "not a dataset of recorded rollouts"),
         (["--exact", "--dataset", "{data}/test", "--record", "x"], "give --policy too"),

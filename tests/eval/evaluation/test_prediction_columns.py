@@ -95,7 +95,11 @@ def test_the_command_writes_that_gate(tmp_path, capsys):
         (["prediction.a", "prediction.b"], ["--horizon", "0"], "multiple of"),
         (["prediction.a", "prediction.narrow"], ["--horizon", "3"], "expected the same"),
         (["prediction.a", "prediction.b"], ["--horizon", "3"], "expected (..., H, 2)"),
-        (["prediction.a", "prediction.b"], ["--horizon", "3", "--pairs", "4"], "give --policy or --exact instead"),
+        (
+            ["prediction.a", "prediction.b"],
+            ["--horizon", "3", "--pairs", "4"],
+            "give --policy or --pair or --exact instead",
+        ),
         (["prediction.b", "prediction.a"], ["--horizon", "3", "--samples", "4"], "not finite"),
     ],
 )

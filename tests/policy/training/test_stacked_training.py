@@ -99,7 +99,7 @@ def test_a_stack_of_runs_at_different_steps_is_refused(ring_data, tmp_path):
 def test_bfloat16_fields_stay_near_float32(ring_data, tmp_path):
     flags = RING["consistency"]
     exact = StackedTraining(build(ring_data, tmp_path / "fp32", flags))
-    coarse = StackedTraining(build(ring_data, tmp_path / "bf16", flags), compute_dtype=torch.bfloat16)
+    coarse = StackedTraining(build(ring_data, tmp_path / "bf16", flags), precision="bf16")
     for _ in range(20):
         losses = torch.stack([exact.update(), coarse.update()])
     torch.testing.assert_close(losses[1], losses[0], rtol=2e-2, atol=0)

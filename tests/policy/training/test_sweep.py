@@ -168,10 +168,10 @@ def test_a_group_that_does_not_fit_into_memory_is_split_aloud(ring_data, tmp_pat
 
     begin = stacked_training.StackedModel.__init__
 
-    def only_one_fits(self, models, compute_dtype):
+    def only_one_fits(self, models, precision):
         if len(models) > 1:
             raise torch.OutOfMemoryError("out of memory")
-        begin(self, models, compute_dtype)
+        begin(self, models, precision)
 
     monkeypatch.setattr(stacked_training.StackedModel, "__init__", only_one_fits)
     names = ["ring/lambda-1/seed-0", "ring/lambda-1/seed-1"]
