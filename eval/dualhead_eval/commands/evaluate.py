@@ -47,6 +47,7 @@ SERVES = {
     "tau": ("policy", "pair", "exact", "record", "rollouts", "columns"),
     "control": ("record",),
     "perturb": ("record",),
+    "monitor": ("record",),
     "video": ("record", "rollouts"),
     "preview": ("policy", "exact"),
     "token": ("exact",),
@@ -139,6 +140,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="perturb the robot environment, e.g. joint_bias:0.06; joint_bias@2 is the second of its four levels",
     )
     add_picture_options(parser)
+    loop.add_argument(
+        "--monitor", type=Path, metavar="DIR", help="run a fitted failure monitor beside the episodes and record it too"
+    )
     shared = parser.add_argument_group("what the heads share (default: as the policy was trained)")
     shared.add_argument("--source-noise-beta", type=float, metavar="B", help="1 private noise, 0 shared noise")
     shared.add_argument("--redraw-token", action="store_true", help="give each head a token of its own")

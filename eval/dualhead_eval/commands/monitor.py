@@ -125,7 +125,7 @@ def _fit(args: argparse.Namespace) -> int:
         print(f"{channel.signal.name}: threshold {_brief(limits)}{unit}; {channel.threshold.guarantee}")
         if isinstance(channel.signal, LargestDeviation) and channel.signal.left_out.size:
             constant = ", ".join(recordings[0].names[i] for i in channel.signal.left_out)
-            print(f"  left out because they never vary: {constant}")
+            print(f"  left out because they hardly vary: {constant}")
     print(f"monitor: {args.output}, fitted on {len(kept)} episodes")
     return 0
 

@@ -6,6 +6,7 @@ import argparse
 
 from dualhead_eval.commands.pictures import require_films
 from dualhead_eval.commands.policy_draws import open_decisions
+from dualhead_eval.commands.rollout_monitor import open_monitor
 
 
 def roll_out(args: argparse.Namespace, episodes: int) -> None:
@@ -33,6 +34,10 @@ def roll_out(args: argparse.Namespace, episodes: int) -> None:
     require_films(args, env_id, env_kwargs)
     samples = 2 if args.samples is None else args.samples
     decisions, provenance = open_decisions(args.policy[0], samples, frames.sidecar.get("horizon", 16))
+    watch = None
+    if args.monitor is not None:
+        names = frames.info["features"]["observation.state"]["names"]
+        watch = open_monitor(args.monitor, decisions, frames.sidecar["layout"], env_id, env_kwargs, names)
     with tqdm(total=episodes, unit="episode", desc="rolling out", delay=1) as bar:
         loop, verdict = record_decisions(
             decisions,
@@ -42,6 +47,7 @@ def roll_out(args: argparse.Namespace, episodes: int) -> None:
             episodes=episodes,
             seed=0 if args.seed is None else args.seed,
             provenance=provenance,
+            watch=watch,
             progress=bar.update,
         )
     for refusal in loop.refusals:

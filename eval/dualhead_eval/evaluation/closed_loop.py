@@ -9,6 +9,7 @@ Beside the frames as executed (observations, dual action, reward), a rollout dat
 - ``prediction.decision`` (1,): whether the policy decided in this frame;
 - ``certificate.*`` (1,): residual, verdict (its index), effect and capacity of the runtime certificate, which runs
   beside the robot over all episodes;
+- with a failure monitor beside the robot, ``monitor.*`` (1,): its score, aggregate, threshold and alarm;
 - ``meta/dualhead.json``: environment, horizon and n, how many pairs of a decision follow what the episode holds, and
   what became of every episode: its seed, frames, outcome, and why a decision was refused (no frame: not in the data).
 
@@ -21,8 +22,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import gymnasium as gym
 import numpy as np
 
 from dualhead_envs.recorded_environment import make_recorded
@@ -38,6 +40,22 @@ LONGEST_REASON = 500
 OUTCOME = (("success", "is_success", bool), ("collision", "collision", bool), ("mode", "mode", int))
 
 
+class RolloutWatch(Protocol):
+    """Follows recorded episodes: a wrapper that reads every decision, and the columns that it adds.
+
+    Attributes:
+        features: LeRobotDataset features of the columns.
+    """
+
+    features: dict[str, dict[str, Any]]
+
+    def wrap(self, env: gym.Env, decisions: Decider) -> gym.Env:
+        """The environment, followed; when it decides, ``decisions`` holds what was sampled."""
+
+    def columns(self, info: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """One frame's values from ``info``."""
+
+
 def record_rollouts(
     policy: DualheadPolicy,
     preprocess: Callable[[Any], Any],
@@ -49,6 +67,7 @@ def record_rollouts(
     samples: int = 2,
     seed: int = 0,
     provenance: Mapping[str, Any] | None = None,
+    watch: RolloutWatch | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[ClosedLoop, str]:
     """Roll a policy out and record what it executed and what both heads predicted.
@@ -71,6 +90,7 @@ def record_rollouts(
         samples: Pairs of chunks per decision, at least 2 for within-decision coordination.
         seed: Seed of environment and draws.
         provenance: What to say of the policy in ``meta/dualhead.json``.
+        watch: Who else follows the episodes and adds columns, for example a failure monitor.
         progress: Called with 1 after every episode.
 
     Returns:
@@ -93,6 +113,7 @@ def record_rollouts(
         episodes=episodes,
         seed=seed,
         provenance=provenance,
+        watch=watch,
         progress=progress,
     )
 
@@ -106,6 +127,7 @@ def record_decisions(
     episodes: int,
     seed: int = 0,
     provenance: Mapping[str, Any] | None = None,
+    watch: RolloutWatch | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[ClosedLoop, str]:
     """Roll out what decides, of whichever policy; see :func:`record_rollouts`.
@@ -140,12 +162,13 @@ def record_decisions(
         "partition": env.unwrapped.mode_partition.to_dict(),  # type: ignore[attr-defined]
     }
     with staging_folder(root) as folder:
-        features = _features(layout.dataset_features(), decisions)
+        features = _features(layout.dataset_features(), decisions) | ({} if watch is None else watch.features)
         dataset = _create_dataset(folder / "dataset", root.name, layout.fps, features)
-        watched = CertificateWrapper(env, decisions, decision_interval=decisions.interval, held_pairs=decisions.held)
+        certified = CertificateWrapper(env, decisions, decision_interval=decisions.interval, held_pairs=decisions.held)
+        watched = certified if watch is None else watch.wrap(certified, decisions)
         outcomes = []
         for episode in range(episodes):
-            outcomes.append(_roll_out(watched, decisions, dataset, executed, seed + episode))
+            outcomes.append(_roll_out(watched, decisions, dataset, executed, seed + episode, watch))
             if outcomes[-1]["frames"]:
                 dataset.save_episode()
             if progress is not None:
@@ -162,7 +185,7 @@ def record_decisions(
         publish(folder / "dataset", root)
     loop = closed_loop_of(sidecar)
     assert loop is not None
-    return loop, watched.certificate.verdict
+    return loop, certified.certificate.verdict
 
 
 def _features(demonstrated: Mapping[str, dict], decisions: Decider) -> dict[str, dict]:
@@ -189,7 +212,7 @@ def _create_dataset(root: Path, name: str, fps: int, features: dict[str, dict]) 
 
 
 def _roll_out(
-    env: CertificateWrapper, decisions: Decider, dataset: Any, executed: np.ndarray, seed: int
+    env: gym.Env, decisions: Decider, dataset: Any, executed: np.ndarray, seed: int, watch: RolloutWatch | None
 ) -> dict[str, Any]:
     """Run one episode and add its frames to the dataset; returns what became of it.
 
@@ -213,6 +236,7 @@ def _roll_out(
     done = False
     while not done:
         decided, certificate = info["coordination"]["decision"], certificate_columns(info)
+        seen = {} if watch is None else watch.columns(info)
         predictions, action = decisions.predictions if decided else decisions.blank, decisions.chunk.pop(0)
         try:
             after, reward, terminated, truncated, info = env.step(action[executed])
@@ -225,6 +249,7 @@ def _roll_out(
                 **predictions,
                 "prediction.decision": np.array([decided]),
                 **certificate,
+                **seen,
                 "next.reward": np.array([reward], dtype=np.float32),
                 "next.success": np.array([bool(info["is_success"])]),
                 "task": str(env.unwrapped.task_description),  # type: ignore[attr-defined]

@@ -2,7 +2,8 @@
 
 At every decision the joint head's chunks are ribbons and the position head's are strings of beads, coloured by the
 mode that each reaches (grey: none). The pair whose chunk is executed is wide, the others are faint. A line beneath says
-whether the executed pair is in one mode, and how many of the decision's own draws are.
+whether the executed pair is in one mode, and how many of the decision's own draws are. Where a failure monitor ran
+beside the episode (``--monitor``), a strip beneath shows its aggregate and threshold so far, and the alarm.
 
 The episodes are not recorded as pictures: they are repeated, from their seeds and actions, and compared with what was
 recorded.
@@ -22,6 +23,7 @@ from dualhead_envs.dataset_columns import read_columns, read_info
 from dualhead_envs.recorded_environment import make_recorded
 from dualhead_eval.atomic_text import write_bytes
 from dualhead_eval.evaluation.decision_pictures import Decided, decided, under_line
+from dualhead_eval.evaluation.monitor_strip import MONITORED, monitor_strip
 from dualhead_eval.evaluation.recorded_decisions import RecordedDecisions, read_decisions
 
 #: Episodes that are filmed, as many as `lerobot-eval` renders.
@@ -92,7 +94,9 @@ def rollout_frames(
     root = Path(root)
     decisions = read_decisions(root)
     sidecar = decisions.sidecar
-    columns = read_columns(root, read_info(root), ["action", "observation.state", "episode_index"])
+    info = read_info(root)
+    watched = [f"monitor.{name}" for name in MONITORED] if "monitor.aggregate" in info["features"] else []
+    columns = read_columns(root, info, ["action", "observation.state", "episode_index", *watched])
     env = open_filmed(sidecar["env_id"], sidecar["env_kwargs"], str(root))
     # An episode that was refused before its first step is not in the data.
     seeds = [outcome["seed"] for outcome in sidecar["outcomes"] if outcome.get("frames") != 0]
@@ -130,11 +134,21 @@ def _repeat(
         if frame in at:
             shown = _decided(decisions, at[frame])
         if step in steps:
-            pictures.append(under_line(bare.picture(shown.ribbons), f"step {step}", shown.words, shown.heads))
+            picture = under_line(bare.picture(shown.ribbons), f"step {step}", shown.words, shown.heads)
+            pictures.append(_with_monitor(picture, columns, frames, step))
         observation, _, _, _, info = env.step(columns["action"][frame][executed])
     end = "success" if info["is_success"] else "collision" if info["collision"] else "no success"
     last = under_line(bare.picture(), f"step {len(frames)}", end, [])
+    last = _with_monitor(last, columns, frames, len(frames) - 1)
     return np.stack(pictures + [last] * max(1, len(pictures) // 8))
+
+
+def _with_monitor(picture: np.ndarray, columns: Mapping[str, np.ndarray], frames: np.ndarray, step: int) -> np.ndarray:
+    """The picture with the monitor's readings up to a step beneath it, where the recording has some."""
+    if "monitor.aggregate" not in columns:
+        return picture
+    aggregate, threshold, alarm = (columns[f"monitor.{name}"][frames].reshape(-1) for name in MONITORED)
+    return np.concatenate([picture, monitor_strip(picture.shape[1], aggregate, threshold, alarm, step)])
 
 
 def _decided(decisions: RecordedDecisions, index: int) -> Decided:

@@ -17,9 +17,11 @@ import torch
 from dualhead_envs.dataset_columns import read_columns, read_info
 from dualhead_eval.cli import main
 from dualhead_eval.evaluation.closed_loop import record_rollouts
+from dualhead_eval.evaluation.monitor_strip import monitor_strip
 from dualhead_eval.monitor import Monitor
 from dualhead_eval.monitor.monitor_file import save_monitor
 from dualhead_eval.monitor.recorded_episodes import open_rollouts
+from dualhead_eval.monitor.recording_watch import RecordedMonitor
 from dualhead_eval.monitor.watching import watch
 from dualhead_policy.disagreement_step import DisagreementMonitorStep
 from dualhead_policy.pretrained import load_policy, policy_folder
@@ -158,6 +160,40 @@ def test_a_watched_folder_loads_strictly(watched, tmp_path):
         with pytest.raises(ValueError, match=r"policy_postprocessor\.json") as refusal:
             load_policy(folder)
         assert "\n" not in str(refusal.value)
+
+
+def test_a_recording_holds_the_monitors_readings(loaded, recorded, tmp_path):
+    policy, preprocess = loaded
+    monitor = fitted(recorded, ["residual", "residual_matched"])
+    watcher = RecordedMonitor(monitor, "ring/nullspace", recorded.state_names, "position", recorded.builder.partition)
+    root = tmp_path / "watched"
+    record_rollouts(policy, preprocess, root, env_id="RotatingRing-v2", env_kwargs=ENV, episodes=5, watch=watcher)
+    again = open_rollouts(root)
+    names = [f"monitor.{name}" for name in ("score", "aggregate", "threshold", "alarm")]
+    columns = read_columns(root, read_info(root), names)
+    for number, episode in enumerate(again):
+        readings = monitor.read(episode)
+        for name in names:
+            field = name.partition(".")[2]
+            expected = np.repeat([getattr(reading, field) for reading in readings], 8)
+            np.testing.assert_array_equal(
+                columns[name][again.frames(number)].reshape(-1), expected.astype(columns[name].dtype)
+            )
+    # Whoever is watched acts as before.
+    plain = tmp_path / "plain"
+    record_rollouts(policy, preprocess, plain, env_id="RotatingRing-v2", env_kwargs=ENV, episodes=5)
+    np.testing.assert_array_equal(
+        *(read_columns(path, read_info(path), ["action"])["action"] for path in (root, plain))
+    )
+
+
+def test_a_strip_shows_what_has_been_read_so_far():
+    aggregate, threshold = np.array([1.0, 1.0, 5.0, np.inf]), np.full(4, 2.0)
+    alarm = aggregate > threshold
+    early, late = (monitor_strip(300, aggregate, threshold, alarm, step) for step in (1, 3))
+    assert early.shape == late.shape == (90, 300, 3)
+    right = np.s_[:, 250:290]
+    assert (late[right] < 255).sum() > 2 * (early[right] < 255).sum()
 
 
 @pytest.mark.parametrize(("signal", "sentence"), [("residual", "expected residual_executed by ewma-max")])

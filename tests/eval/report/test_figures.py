@@ -27,7 +27,8 @@ def texts(figure):
 
 def test_every_figure_is_drawn_and_captioned(make_gate):
     figures = report_figures(make_report([make_gate("a"), make_gate("b", 0.8), make_gate("K=4", 0.9, k=4)]))
-    assert list(figures) == list(CAPTIONS)
+    sweeps = {"ladder", "modes", "maps", "skew", "overlay"}
+    assert list(figures) == [name for name in CAPTIONS if name not in sweeps]
     assert all(png.startswith(b"\x89PNG") for png in figures.values())
 
 
