@@ -118,7 +118,8 @@ def _draw_frame(ax: Axes, limit: float, lowest: float) -> None:
     ax.text(0.33 * limit, 0.62 * limit, "no run can be here (Δ > C)", color="0.45", fontsize=8, ha="center")
     ax.annotate(
         r"blue: $\rho = 0$ within 2%",
-        (0, 0),
+        # To the right of the dotted side, where there is one.
+        (0.25 * limit if lowest < -0.05 * limit else 0, 0),
         xytext=(4, -9),
         textcoords="offset points",
         color="tab:blue",
