@@ -60,8 +60,10 @@ def pair_ribbons(first: ArrayLike, second: ArrayLike, first_modes: ArrayLike, se
     wider and opaque, and comes last, so that it lies on top where a picture has no depth.
 
     Args:
-        first, second: Paths (n, H, d) in metres.
-        first_modes, second_modes: Their modes (n,), -1 for none.
+        first: The first head's paths (n, H, d) in metres.
+        second: The second head's.
+        first_modes: The first head's modes (n,), -1 for none.
+        second_modes: The second head's.
     """
     executed, others = [], []
     for beads, paths, modes in ((False, first, first_modes), (True, second, second_modes)):

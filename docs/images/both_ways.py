@@ -19,26 +19,24 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dualhead_eval.atomic_text import write_bytes
 from dualhead_eval.evaluation.decision_pictures import LINE
-from dualhead_eval.evaluation.films import SIZE, rollout_frames
+from dualhead_eval.evaluation.films import rollout_frames
 
+SIZE = 640
 #: What is cut from a film's picture: the table and the arm.
-CUT = (45, 70, 435, 400)
+CUT = (10, 140, 490, 560)
 TITLES = ("The heads share nothing", "The heads share a token")
-STEP, START, HELD = 4, 52, 5  # shown steps, the first of them, and frames for which an end is held
-HEADER = 34
+#: Steps between two frames, and the first that is shown.
+STEP, START = 4, 68
+#: Milliseconds of a frame, and of those in which the ways part.
+USUAL, SLOW, SLOW_FRAMES = 110, 420, 8
+HEADER, HELD = 34, 1200
 
 
-def panel(root: Path, episodes: list[int], title: str) -> list[np.ndarray]:
-    """Frames of the episodes, one after the other, under a title."""
-    frames: list[np.ndarray] = []
-    for _, pictures, _ in rollout_frames(root, episodes, stride=STEP, start=START):
-        frames += [framed(picture, title) for picture in pictures[: np.flatnonzero(_changes(pictures))[-1] + 2]]
-        frames += [frames[-1]] * HELD
-    return frames
-
-
-def _changes(pictures: np.ndarray) -> np.ndarray:
-    return np.array([(a != b).any() for a, b in zip(pictures[1:], pictures[:-1], strict=True)])
+def episode(root: Path, number: int, title: str) -> list[np.ndarray]:
+    """Frames of an episode, framed."""
+    ((_, pictures, _),) = rollout_frames(root, [number], stride=STEP, start=START, size=SIZE)
+    ended = next(at for at in range(len(pictures)) if (pictures[at:] == pictures[at]).all())
+    return [framed(picture, title) for picture in pictures[: ended + 1]]
 
 
 def framed(picture: np.ndarray, title: str) -> np.ndarray:
@@ -51,22 +49,33 @@ def framed(picture: np.ndarray, title: str) -> np.ndarray:
     return np.asarray(image)
 
 
+def side_by_side(panels: list[list[np.ndarray]]) -> tuple[list[Image.Image], list[int]]:
+    """Frames of several episodes beside each other, and how long each is shown; an episode that ends waits."""
+    length = max(map(len, panels))
+    frames = [
+        Image.fromarray(np.concatenate([part[min(at, len(part) - 1)] for part in panels], axis=1))
+        for at in range(length)
+    ]
+    return frames, [*(SLOW if at < SLOW_FRAMES else USUAL for at in range(length - 1)), HELD]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rollouts", type=Path, nargs=2)
     parser.add_argument("--episodes", type=int, nargs="+", action="append", required=True)
     parser.add_argument("--output", type=Path, default=Path(__file__).with_name("both_ways.webp"))
     args = parser.parse_args()
-    panels = [panel(*inputs) for inputs in zip(args.rollouts, args.episodes, TITLES, strict=True)]
-    length = max(map(len, panels))
-    frames = [
-        Image.fromarray(np.concatenate([part[min(at, len(part) - 1)] for part in panels], axis=1))
-        for at in range(length)
-    ]
+    frames, durations = [], []
+    for numbers in zip(*args.episodes, strict=True):
+        panels = [episode(*inputs) for inputs in zip(args.rollouts, numbers, TITLES, strict=True)]
+        shown, milliseconds = side_by_side(panels)
+        frames, durations = frames + shown, durations + milliseconds
     film = io.BytesIO()
-    frames[0].save(film, "WEBP", save_all=True, append_images=frames[1:], duration=150, loop=0, quality=60, method=6)
+    frames[0].save(
+        film, "WEBP", save_all=True, append_images=frames[1:], duration=durations, loop=0, quality=60, method=6
+    )
     write_bytes(args.output, film.getvalue())
-    print(f"{args.output}: {length} frames, {len(film.getvalue()) / 1e6:.1f} MB")
+    print(f"{args.output}: {len(frames)} frames, {len(film.getvalue()) / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

@@ -38,14 +38,14 @@ _EVERY_SECOND = 40
 _REPEATED = 1e-4
 
 
-def open_filmed(env_id: str, env_kwargs: Mapping[str, Any], source: str) -> gym.Env:
-    """The environment of a recording, ready to be pictured.
+def open_filmed(env_id: str, env_kwargs: Mapping[str, Any], source: str, size: int = SIZE) -> gym.Env:
+    """The environment of a recording, ready to be pictured; a robot's pictures are ``size`` pixels wide and high.
 
     Raises:
         ValueError: If there is no such environment, or pictures need an OpenGL that is not there.
     """
-    size = {"image_size": (SIZE, SIZE)} if "Bypass" in env_id else {}
-    env = make_recorded(env_id, {**env_kwargs, "render_mode": "rgb_array", **size}, source)
+    sized = {"image_size": (size, size)} if "Bypass" in env_id else {}
+    env = make_recorded(env_id, {**env_kwargs, "render_mode": "rgb_array", **sized}, source)
     env.reset(seed=0)
     try:
         env.unwrapped.picture()  # type: ignore[attr-defined]
@@ -81,7 +81,7 @@ def film_rollouts(
 
 
 def rollout_frames(
-    root: str | Path, episodes: Iterable[int], *, stride: int | None = None, start: int = 0
+    root: str | Path, episodes: Iterable[int], *, stride: int | None = None, start: int = 0, size: int = SIZE
 ) -> Iterator[tuple[int, np.ndarray, int]]:
     """Number, frames (T, height, width, 3) uint8 and frames per second of recorded episodes, one by one.
 
@@ -90,6 +90,7 @@ def rollout_frames(
         episodes: Numbers of episodes; those beyond the last are passed over.
         stride: Show every so many steps; by default every one, or every second of a long episode.
         start: The first step to show.
+        size: Side of a robot's pictures in pixels.
     """
     root = Path(root)
     decisions = read_decisions(root)
@@ -97,7 +98,7 @@ def rollout_frames(
     info = read_info(root)
     watched = [f"monitor.{name}" for name in MONITORED] if "monitor.aggregate" in info["features"] else []
     columns = read_columns(root, info, ["action", "observation.state", "episode_index", *watched])
-    env = open_filmed(sidecar["env_id"], sidecar["env_kwargs"], str(root))
+    env = open_filmed(sidecar["env_id"], sidecar["env_kwargs"], str(root), size)
     # An episode that was refused before its first step is not in the data.
     seeds = [outcome["seed"] for outcome in sidecar["outcomes"] if outcome.get("frames") != 0]
     for number in (number for number in episodes if number < len(seeds)):
