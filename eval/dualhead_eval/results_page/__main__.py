@@ -21,6 +21,7 @@ def results_page(template: Path = TEMPLATE) -> str:
         ValueError: If it asks for what there is not.
     """
     from dualhead_eval.results_page.consistency import consistency_table, ladder_table, optimum_table
+    from dualhead_eval.results_page.ensembles import ensemble_sections
     from dualhead_eval.results_page.families import family_table
     from dualhead_eval.results_page.loops import closed_loop_table
     from dualhead_eval.results_page.studies import study_sections
@@ -36,6 +37,7 @@ def results_page(template: Path = TEMPLATE) -> str:
         "optimum": optimum_table,
         "ladder": ladder_table,
         "closed_loop": closed_loop_table,
+        "ensembles": ensemble_sections,
         "studies": study_sections,
     }
     return NOTE + filled(template.read_text(encoding="utf-8"), inserts, source=str(template))

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from dualhead_eval.gate import read_gate, write_gate
+from dualhead_eval.results_page import ensembles
 from dualhead_eval.results_page.__main__ import PAGE, TEMPLATE, main, results_page
 from dualhead_eval.results_page.consistency import consistency_table
 from dualhead_eval.results_page.families import COLUMNS, family_table
@@ -95,6 +96,21 @@ def test_checking_writes_nothing_and_tells_a_page_that_has_drifted(tmp_path, mon
     assert main(["--check"]) == 1
 
 
-def test_without_results_the_studies_say_so(tmp_path, monkeypatch):
+def test_without_results_studies_and_ensembles_say_so(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert study_sections([]) == NOTHING
+    assert ensembles.ensemble_sections([]) == ensembles.NOTHING
+
+
+def test_an_ensembles_gate_files_make_two_tables(tmp_path, monkeypatch, make_gate):
+    monkeypatch.chdir(tmp_path)
+    for score, shared in (("private", False), ("shared", True)):
+        gate = make_gate("five seeds", 0.8 * shared, method="ensemble", shared_noise=shared, score="action_l2")
+        gate.strata["joint / position"] = gate.strata.pop("position")
+        write_gate(gate, tmp_path / "results" / "ensembles" / "A" / f"{score}.gate.json.gz")
+    page = ensembles.ensemble_sections([])
+    assert page.count("| five seeds | private |") == 1
+    assert page.count("| five seeds | Action-L2 | shared |") == 1
+    write_gate(make_gate("policy"), tmp_path / "results" / "ensembles" / "A" / "vfd.gate.json")
+    with pytest.raises(ValueError, match=r"vfd\.gate\.json is no ensemble's"):
+        ensembles.ensemble_sections([])
