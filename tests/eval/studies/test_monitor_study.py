@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dualhead_eval.cli import main
 from dualhead_eval.monitor.recorded_episodes import OBSERVATIONS
 from dualhead_eval.studies.monitor.arm_scores import ArmScores, coarse
 from dualhead_eval.studies.monitor.conclusions import conclude
@@ -15,6 +16,7 @@ from dualhead_eval.studies.monitor.recording import parts
 from dualhead_eval.studies.monitor.regime import regime
 from dualhead_eval.studies.monitor.registration import registered
 from dualhead_eval.studies.monitor.scoring import joint_labels, labels_by_token
+from dualhead_eval.studies.monitor.study import MonitorStudy
 from dualhead_eval.studies.monitor.tables import study_tables
 
 DECISIONS, FLAGGED = 20, (9, 10)
@@ -216,8 +218,81 @@ def test_damaged_files_are_refused_in_a_sentence(tmp_path, content):
             reader(path)
 
 
+@pytest.mark.parametrize("which", ["log", "arm"])
+def test_a_flipped_or_missing_byte_is_refused_or_harmless(tmp_path, found, which):
+    log, scored, _ = found
+    path = tmp_path / "file.parquet"
+    if which == "log":
+        write_log(log, path)
+    else:
+        next(iter(scored["I"].values())).write(path)
+    reader = read_log if which == "log" else ArmScores.read
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    refusals = []
+    for number in range(60):
+        damaged = bytearray(whole)
+        at = int(rng.integers(len(whole)))
+        # Half of the damages lie in the footer, where a file says what it holds.
+        at = max(at, len(whole) - 2000) if number % 2 else at
+        if number % 5 == 0:
+            del damaged[at:]
+        else:
+            damaged[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        try:
+            reader(path)
+        except ValueError as error:
+            refusals.append(str(error))
+    assert len(refusals) > 15
+    assert all(str(path) in refusal and "\n" not in refusal for refusal in refusals)
+
+
 def test_scores_that_diverged_stay_infinite():
     assert np.isinf(coarse(np.array([np.nan, np.inf]))).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--jobs", "0"], "--jobs 0 is not positive"),
+        (["--arms", "nowhere"], "--arms nowhere is no folder"),
+        (["--only-grade"], "log.parquet does not exist"),
+    ],
+)
+def test_a_study_that_cannot_begin_says_why(tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    assert main(["monitor", "study", "--output", "S", *arguments]) != 0
+    said = capsys.readouterr().err.strip()
+    assert sentence in said
+    assert "\n" not in said
+
+
+def test_a_study_does_not_go_on_in_another_ones_folder(tmp_path, capsys):
+    (tmp_path / "S").mkdir()
+    (tmp_path / "S" / "notes.txt").write_text("mine")
+    assert main(["monitor", "study", "--output", str(tmp_path / "S"), "--only-grade"]) != 0
+    assert "is not empty and holds no monitor study" in capsys.readouterr().err
+    (tmp_path / "S" / "notes.txt").unlink()
+    MonitorStudy(registered(), "v2", "smoke", tmp_path / "S").claim_folder()
+    assert main(["monitor", "study", "--output", str(tmp_path / "S"), "--env", "v3", "--only-grade"]) != 0
+    assert "holds a monitor study of another environment, preset or protocol" in capsys.readouterr().err
+
+
+def test_what_is_kept_gives_the_same_verdicts(tmp_path, found, protocol):
+    log, scored, conclusions = found
+    study = MonitorStudy(protocol, "v2", "full", tmp_path / "S")
+    study.claim_folder()
+    write_log(log, tmp_path / "S" / "log.parquet")
+    for arm, by_seed in scored.items():
+        for seed, scores in by_seed.items():
+            scores.write(study.scores_file(arm, seed))
+    study.keep(tmp_path / "kept", log)
+    kept = MonitorStudy(protocol, "v2", "full", tmp_path / "kept")
+    kept.claim_folder()
+    again = conclude(kept.log(), kept.scored(), protocol, study.budget.seeds)
+    own = conclude(study.log(), study.scored(), protocol, study.budget.seeds)
+    assert again.verdicts == own.verdicts
+    assert [verdict.grade for verdict in own.verdicts["I"]] == [verdict.grade for verdict in conclusions.verdicts["I"]]
 
 
 def test_no_seed_of_the_log_is_used_twice(protocol):

@@ -76,6 +76,7 @@ class ArmScores:
             content,
             compression="zstd",
             compression_level=19,
+            write_page_checksum=True,
             # Bytes of one significance beside each other: half the size of plain floats.
             use_dictionary=False,
             column_encoding={name: "BYTE_STREAM_SPLIT" for name, kind in columns.items() if kind.type == pa.float32()},
@@ -93,7 +94,7 @@ class ArmScores:
         if not path.is_file():
             raise FileNotFoundError(f"{path} does not exist, expected an arm's scores: repeat the study's command")
         try:
-            table = pq.read_table(path)
+            table = pq.read_table(path, page_checksum_verification=True)
             document = json.loads((table.schema.metadata or {}).get(_METADATA, b"{}"))
             if document.get("format") != FORMAT:
                 raise ValueError(f"its format is {document.get('format')!r}")
@@ -117,7 +118,7 @@ class ArmScores:
                 entropy,
                 document["provenance"],
             )
-        except (pa.ArrowInvalid, KeyError, TypeError, AttributeError, ValueError) as error:
+        except (pa.ArrowException, OSError, KeyError, TypeError, AttributeError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise ValueError(
                 f"{path} holds no scores of an arm ({reason}): delete it, and repeat the study's command"

@@ -154,7 +154,7 @@ def write_log(log: MonitorLog, path: Path) -> None:
     document = json.dumps({"format": FORMAT, "about": log.about, "episodes": log.episodes})
     content = io.BytesIO()
     made = pa.table(table).replace_schema_metadata({_METADATA: document.encode()})
-    pq.write_table(made, content, compression="zstd")
+    pq.write_table(made, content, compression="zstd", write_page_checksum=True)
     write_bytes(path, content.getvalue())
 
 
@@ -169,7 +169,7 @@ def read_log(path: Path) -> MonitorLog:
         raise FileNotFoundError(f"{path} does not exist, expected the log of a monitor study: run the study first")
     again = "delete it, and repeat the study's command"
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(path, page_checksum_verification=True)
         document = json.loads((table.schema.metadata or {}).get(_METADATA, b"{}"))
         if document.get("format") != FORMAT:
             raise ValueError(f"its format is {document.get('format')!r}")
@@ -188,7 +188,7 @@ def read_log(path: Path) -> MonitorLog:
         lengths = {len(values) for values in log.episodes.values()}
         if lengths != {int(log.episode.max()) + 1} or (np.diff(log.episode) < 0).any():
             raise ValueError("its decisions and episodes do not fit")
-    except (pa.ArrowInvalid, KeyError, TypeError, AttributeError, ValueError) as error:
+    except (pa.ArrowException, OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{path} is not the log of a monitor study ({reason}): {again}") from error
     return log

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dualhead_envs.dataset_frames import read_split
+from dualhead_envs.validated_json import read_json
 from dualhead_eval.atomic_text import write_text
 from dualhead_eval.evaluation.conditions import recorded_environment
 from dualhead_eval.monitor.branch_flag import BranchFlag
@@ -75,7 +76,8 @@ class MonitorStudy:
         settings = {"env": self.env, "preset": self.preset, "protocol": self.protocol.model_dump(mode="json")}
         path = self.root / SETTINGS
         if path.is_file():
-            if json.loads(path.read_text()) != settings:
+            found = read_json(path, kind="the settings of a monitor study", remedy="give another --output")
+            if found != settings:
                 raise FileExistsError(
                     f"{self.root} holds a monitor study of another environment, preset or protocol: give another "
                     "--output"
