@@ -84,6 +84,10 @@ def run(args: argparse.Namespace) -> int:
     if verdict.cells:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))
     console.print(render_table(grades_table(verdict.grades, study.question)))
+    if smoke:
+        console.print(
+            "This is the study's smoke form, a fraction of everything: it shows that it runs, not what is so."
+        )
     done = len(plan.evaluations) - len(verdict.missing)
     console.print(f"{done} of {len(plan.evaluations)} evaluations are there")
     for line in missing_lines(verdict.missing):

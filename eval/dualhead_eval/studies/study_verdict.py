@@ -76,7 +76,12 @@ def _exact(cell: StudyCell, references: StudyReferences) -> str:
 def grades_table(grades: Sequence[StudyGrade], title: str) -> Table:
     """One line per criterion; what is short is named beneath."""
     lines: list[tuple[str | Cell, ...]] = [
-        (grade.name, grade.grade if grade.grade == HOLDS else Cell(grade.grade), grade.claim, grade.evidence)
+        (
+            grade.name.replace("-", " "),
+            grade.grade if grade.grade == HOLDS else Cell(grade.grade),
+            grade.claim,
+            grade.evidence,
+        )
         for grade in grades
     ]
     notes = tuple(f"{grade.name}, short: {'; '.join(grade.shortage)}" for grade in grades if grade.shortage)
