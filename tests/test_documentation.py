@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 SPEC = importlib.util.spec_from_file_location("make_notebooks", ROOT / "docs" / "make_notebooks.py")
@@ -26,6 +27,19 @@ def test_a_notebook_is_its_tutorial(page):
     code = [cell for cell in make_notebooks.notebook_of(page)["cells"] if cell["cell_type"] == "code"]
     assert len(code) > 3
     assert file.stat().st_size < 50_000
+
+
+def test_the_pictures_are_light_and_described():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    shown = [
+        (page, *found) for page in pages for found in re.findall(r"!\[([^\]]*)\]\(([^)]+)\)", page.read_text("utf-8"))
+    ]
+    assert any(target.endswith("both_ways.webp") for _, _, target in shown)
+    for page, described, target in shown:
+        assert described.strip(), f"{page.name} shows {target} without a description"
+        assert (page.parent / target).stat().st_size < 3_000_000
+    film = Image.open(ROOT / "docs" / "images" / "both_ways.webp")
+    assert film.n_frames > 30  # it moves
 
 
 @pytest.mark.slow
