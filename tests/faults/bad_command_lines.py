@@ -14,6 +14,7 @@ def command_line_cases(products: Products) -> Iterator[Case]:
     train = ["train", f"--dataset.root={products.data / 'train'}", "--output_dir=new", "--policy.device=cpu"]
     exact = ["evaluate", "--exact", "--dataset", data, "--output", "out.json"]
     policy = ["evaluate", "--policy", run, "--dataset", data, "--output", "out.json"]
+    ensemble = ["ensemble", run, run, "--dataset", data, "--output", "out"]
     gate = ["report", str(products.gate)]
     for arguments, mentioned in [
         *[([*train, f"--policy.{name}={value}"], name) for name, value in POLICY_FLAGS],
@@ -21,6 +22,7 @@ def command_line_cases(products: Products) -> Iterator[Case]:
         *[([*train, flag], word) for flag, word in TRAIN_FLAGS],
         *[([*exact, *flags], word) for *flags, word in EVALUATE_FLAGS],
         *[([*policy, *flags], word) for *flags, word in POLICY_EVALUATE_FLAGS],
+        *[([*ensemble, *flags], word) for *flags, word in ENSEMBLE_FLAGS],
         *[([*gate, *flags], word) for *flags, word in REPORT_FLAGS],
         *[(["record", *flags], word) for *flags, word in RECORD_FLAGS],
         *[(list(arguments), word) for *arguments, word in OTHERS],
@@ -77,6 +79,11 @@ POLICY_EVALUATE_FLAGS = [
     ("--record", "loop", "--control", "pose", "pose"), ("--record", "loop", "--seed", "-1", "seed"),
     ("--rollouts", "x", "rollouts"),
 ]  # fmt: skip
+ENSEMBLE_FLAGS = [
+    ("--pairs", "0", "pairs"), ("--vfd-pairs", "0", "pairs"), ("--vfd-pairs", "many", "vfd-pairs"),
+    ("--nfe", "0", "nfe"), ("--seed", "-1", "seed"), ("--head", "elbow", "head"), ("--label", "", "label"),
+    ("--conditions", "1", "same checkpoint"), ("--colour", "colour"),
+]  # fmt: skip
 REPORT_FLAGS = [
     ("--tau", "0.123", "tau"), ("--nfe", "3", "nfe"), ("--tau", "nan", "tau"), ("nowhere.json", "nowhere"),
     ("--json", "", "json"), ("--figure", "", "figure"), ("--colour", "colour"),
@@ -91,6 +98,8 @@ RECORD_FLAGS = [
     ("--env", "v2", "--root", "r", "--pairs", "0", "pairs"),
     ("--env", "v2", "--root", "r", "--workers", "0", "workers"),
     ("--env", "v2", "--root", "r", "--episodes", "3", "episodes"), ("--root", "/dev/null/r", "/dev/null"),
+    ("--env", "v2", "--root", "r", "--ways", "4", "ways"), ("--env", "v2", "--root", "r", "--ways", "x", "ways"),
+    ("--env", "v3", "--root", "r", "--ways", "3", "ways"), ("--root", "r", "--ways", "3", "ways"),
 ]  # fmt: skip
 OTHERS = [
     ("report", "", "empty"), ("train", "--output_dir=x", "dataset.root"), ("evaluate", "--output"), ("report", "GATE"),
@@ -98,6 +107,8 @@ OTHERS = [
     ("demo", "--env", "elbow", "elbow"), ("demo", "--colour", "colour"), ("dance", "dance"),
     ("study", "astrology", "astrology"), ("study", "nowhere.yaml", "nowhere"),
     ("study", "x.yaml", "--jobs", "0", "jobs"),
+    ("ensemble", "--output"), ("ensemble", "nowhere", "nowhere", "--dataset", "x", "--output", "y", "nowhere"),
+    ("ensemble", "a", "--dataset", "x", "--output", "y", "member"),
 ]  # fmt: skip
 YAML_FILES = {
     "no mapping": ("- 1\n- 2\n", "bad.yaml"),
