@@ -66,7 +66,6 @@ _DIFFUSION = (
 ENTRIES = (
     Entry("ACT", "ACT", _ACT, 4000),
     Entry("Diffusion", "Diffusion (DDIM)", _DIFFUSION, 5000),
-    Entry("Diffusion-12k", "Diffusion (DDIM)", _DIFFUSION, 12_000),
     Entry("A_independent", "ours, A: nothing shared", ("--config_path=configs/v2/A_independent.yaml",), 5000, True),
     Entry(
         "H_episode_token_uniform",
