@@ -203,7 +203,7 @@ def word(valid: float, share: float) -> str:
     from dualhead_eval.effects.sites import MIN_VALID_RATE, ORIGIN_CAPACITY
 
     if valid < MIN_VALID_RATE:
-        return "averages"
+        return "low validity"
     return "keeps both" if share >= 0.5 else "keeps one" if not share >= ORIGIN_CAPACITY else "in between"
 
 
@@ -269,7 +269,7 @@ def figure(data: Path, runs: Path, condition: int) -> None:
             source = open_paths(checkpoint(entry, runs), "position")
             title = f"{entry.title}\n{entry.steps:,} steps"
             shown.append((title, source.paths(one, 48, source.default_nfe, SEED)[0]))
-    page = Figure(figsize=(2.1 * len(shown), 3.1), layout="constrained")
+    page = Figure(figsize=(2.3 * len(shown), 2.4), layout="constrained")
     axes = page.subplots(1, len(shown), sharex=True, sharey=True)
     names = [name.rpartition(".")[0] for name in ("obstacle.center.x", "obstacle.half_size.x")]
     state = dict(zip(frames.info["features"]["observation.environment_state"]["names"], one.state[0], strict=True))
