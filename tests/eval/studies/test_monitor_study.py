@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -293,6 +295,25 @@ def test_what_is_kept_gives_the_same_verdicts(tmp_path, found, protocol):
     own = conclude(study.log(), study.scored(), protocol, study.budget.seeds)
     assert again.verdicts == own.verdicts
     assert [verdict.grade for verdict in own.verdicts["I"]] == [verdict.grade for verdict in conclusions.verdicts["I"]]
+
+
+def test_the_kept_results_give_what_is_published(protocol):
+    """The numbers of docs/monitor.md, from the files beside it."""
+    root = Path(__file__).parents[3]
+    study = MonitorStudy(registered(), "v2", "full", root / "results" / "monitor" / "v2")
+    study.claim_folder()
+    found = conclude(study.log(), study.scored(), protocol, study.budget.seeds)
+    verdicts = {verdict.name: verdict for verdict in found.verdicts["I"]}
+    assert verdicts["P1"].value == pytest.approx(-0.242, abs=5e-4)
+    assert verdicts["P2"].value == pytest.approx(0.020, abs=5e-4)
+    assert verdicts["S1"].value == pytest.approx(0.035, abs=5e-4)
+    assert verdicts["S2"].value == pytest.approx(-0.006, abs=5e-4)
+    assert verdicts["S4"].value == pytest.approx(-0.292, abs=5e-4)
+    assert found.regimes["A"].capacity == pytest.approx(0.296, abs=5e-4)
+    assert found.regimes["I"].obedience == pytest.approx(0.966, abs=5e-4)
+    seeds = {arm: len(own) for arm, own in found.seeds.items()}
+    text = (root / "docs" / "monitor.md").read_text()
+    assert ("one of six seeds" in text) == (seeds == {"A": 1, "I": 1})
 
 
 def test_no_seed_of_the_log_is_used_twice(protocol):

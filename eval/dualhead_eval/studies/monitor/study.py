@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -128,8 +127,7 @@ class MonitorStudy:
             for name, seed, fields in wanted
         ]
         if runs:
-            with redirect_stdout(None):
-                manifest = run_sweep(runs, self.root / "policies", jobs=self.jobs, size=16, precision="fp32")
+            manifest = run_sweep(runs, self.root / "policies", jobs=self.jobs, size=16, precision="fp32")
             failed = {name: record.error for name, record in manifest.runs.items() if record.state == "failed"}
             if failed:
                 name, error = next(iter(failed.items()))
