@@ -61,9 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     score.add_argument("--monitor", type=Path, required=True, metavar="DIR", help="a fitted monitor")
     score.add_argument("--output", type=Path, required=True, metavar="FILE", help="*.scores.parquet to write")
     score.add_argument("--overwrite", action="store_true", help="replace the output file if it exists")
-    report.add_argument("scores", nargs="+", type=Path, metavar="FILE", help="*.scores.parquet or *.alarm.json files")
+    report.add_argument("scores", nargs="+", type=Path, metavar="FILE", help="*.scores.parquet or *.alarm.json.gz")
     report.add_argument("--output", type=Path, metavar="FILE", help="HTML page to write")
-    report.add_argument("--alarms", type=Path, metavar="DIR", help="folder for the small *.alarm.json files to keep")
+    report.add_argument("--alarms", type=Path, metavar="DIR", help="folder for the small *.alarm.json.gz to keep")
     report.add_argument("--draws", type=int, default=2000, help="bootstrap draws (default: 2000)")
     report.add_argument("--overwrite", action="store_true", help="replace output files that exist")
 
@@ -203,11 +203,11 @@ def _report(args: argparse.Namespace) -> int:
     labels = [path.name.partition(".")[0] for path in args.scores]
     if len(set(labels)) < len(labels):
         raise ValueError(f"two files have one name ({', '.join(labels)}), expected a name each: rename one")
-    kept = [] if args.alarms is None else [args.alarms / f"{label}.alarm.json" for label in labels]
+    kept = [] if args.alarms is None else [args.alarms / f"{label}.alarm.json.gz" for label in labels]
     refuse_overwrite([args.output, *kept], overwrite=args.overwrite)
     logs = []
     for path, label in zip(args.scores, labels, strict=True):
-        logs.append(AlarmLog.read(path) if path.suffix == ".json" else alarm_log(*read_scores(path), label))
+        logs.append(AlarmLog.read(path) if path.suffix in (".json", ".gz") else alarm_log(*read_scores(path), label))
     require_one_monitor(logs)
     measured = measure_all(logs, draws=args.draws)
     tables = monitor_tables(logs, measured, draws=args.draws)

@@ -191,6 +191,13 @@ def test_the_alarm_file_gives_the_same_verdicts_and_is_checked_on_reading(tmp_pa
     again = AlarmLog.read(tmp_path / "run.alarm.json")
     assert again.scores("residual")[0][0] == np.inf
     assert measures(again, "residual", draws=20) == measures(log, "residual", draws=20)
+    log.write(tmp_path / "small.alarm.json.gz")
+    assert AlarmLog.read(tmp_path / "small.alarm.json.gz").document == again.document
+    whole = (tmp_path / "small.alarm.json.gz").read_bytes()
+    assert 2 * len(whole) < (tmp_path / "run.alarm.json").stat().st_size
+    (tmp_path / "small.alarm.json.gz").write_bytes(whole[:-9])
+    with pytest.raises(ValueError, match="truncated or damaged"):
+        AlarmLog.read(tmp_path / "small.alarm.json.gz")
     for text, message in (
         ("{", "no dualhead-alarms/1"),
         ('{"format": "dualhead-gate/1"}', "format"),

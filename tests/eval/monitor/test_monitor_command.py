@@ -29,7 +29,7 @@ def test_a_recording_is_scored_and_reported(monitor, rollouts, tmp_path, capsys)
     assert len(table) == 40 * 3
     # Failures disagree ten times as much: the residual finds every one, the elapsed steps none.
     assert (table.groupby("episode")["residual.alarm"].last()[~table.groupby("episode")["success"].first()]).all()
-    log = AlarmLog.read(tmp_path / "run.alarm.json")
+    log = AlarmLog.read(tmp_path / "run.alarm.json.gz")
     heads = log.document.provenance["heads"]
     assert heads["decisions"] == 40 * 3
     assert heads["delta"] == pytest.approx(0.5, abs=0.05)
@@ -40,9 +40,9 @@ def test_a_recording_is_scored_and_reported(monitor, rollouts, tmp_path, capsys)
     assert "0.500" in next(line for line in shown.splitlines() if " elapsed " in line)
     assert "What the signals detect" in page.read_text()
     assert page.read_text().count("<figure>") == 2  # no onset and no flags here: ROC and one episode
-    assert (tmp_path / "run.alarm.json").stat().st_size < 100_000
+    assert (tmp_path / "run.alarm.json.gz").stat().st_size < 12_000
     # The alarm file says what the scores said.
-    assert main(["monitor", "report", str(tmp_path / "run.alarm.json"), "--draws", "50"]) == 0
+    assert main(["monitor", "report", str(tmp_path / "run.alarm.json.gz"), "--draws", "50"]) == 0
     again = capsys.readouterr().out
     assert line in again
 
