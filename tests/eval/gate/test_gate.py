@@ -269,7 +269,7 @@ EDITS = {
     "an array of another shape": (lambda content: content["counts"].update(shape=[1, 2, 5, 4, 5]), "holds 160 values"),
     "a negative threshold": (lambda content: content.update(taus=[-0.5, 0.5]), "increasing numbers from 0"),
     "no step at all": (lambda content: content.update(nfes=[0], reference_nfe=0), "increasing numbers from 1"),
-    "another unit": (lambda content: content["strata"]["position"].update(unit="furlong"), "'mm' or 'deg'"),
+    "another unit": (lambda content: content["strata"]["position"].update(unit="furlong"), "'mm', 'deg' or '1'"),
     "a negative pair": (lambda content: content["pair_ids"]["values"].__setitem__(0, -1), "pair_ids"),
 }
 
