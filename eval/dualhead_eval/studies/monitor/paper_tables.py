@@ -58,6 +58,10 @@ def paper_tables(
     ]
 
 
+def _holds(logs: Mapping[str, AlarmLog], arm: str, signal: str) -> bool:
+    return arm in logs and signal in logs[arm].signals
+
+
 def _paper(source: str, row: str, quantity: str) -> PaperNumber | None:
     rows = (p for p in paper_numbers() if (p.source, p.row, p.quantity) == (source, f"libero/{row}", quantity))
     return next(rows, None)
@@ -77,7 +81,7 @@ def _episode_level(logs: Mapping[str, AlarmLog]) -> Table:
     rows = []
     for name, arm, signal in ROWS:
         ours = NOT_SCORED
-        if arm is not None and signal is not None and arm in logs:
+        if arm is not None and signal is not None and _holds(logs, arm, signal):
             log = logs[arm]
             ours = number(compare_scores(largest_aggregates(log, signal), log.success, log.strata).auroc, ".3f")
         rows.append((name, signal or "-", ours, _printed("tab:liberoplus", name, "auroc", ".3f")))
@@ -91,7 +95,9 @@ def _episode_level(logs: Mapping[str, AlarmLog]) -> Table:
 def _horizons(logs: Mapping[str, AlarmLog]) -> Table:
     rows = []
     for name, arm, signal in ROWS:
-        if _paper("tab:horizons", f"{name}/K100", "auroc") is None or arm is None or signal is None or arm not in logs:
+        if _paper("tab:horizons", f"{name}/K100", "auroc") is None or arm is None or signal is None:
+            continue
+        if not _holds(logs, arm, signal):
             continue
         cells = []
         for ours, theirs in zip(HORIZONS, PAPER_HORIZONS, strict=True):
@@ -116,7 +122,7 @@ def _false_alarms(logs: Mapping[str, AlarmLog]) -> Table:
         if _paper("tab:fagap", name, "false_alarm_gap") is None:
             continue
         ours = (NOT_SCORED, "-", "-")
-        if arm is not None and signal is not None and arm in logs:
+        if arm is not None and signal is not None and _holds(logs, arm, signal):
             found = measures(logs[arm], signal, draws=1000)
             gap = with_bounds(found["gap"].value, found["gap"].interval, "+.1%")
             ours = (number(found["flagged"].value, ".1%"), number(found["other"].value, ".1%"), gap)

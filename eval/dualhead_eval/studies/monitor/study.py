@@ -211,6 +211,8 @@ class MonitorStudy:
     def keep(self, folder: Path, log: MonitorLog) -> None:
         """Write what the verdicts need into another folder: a log without observations, the criteria's signals.
 
+        The first seeds of the baseline and the primary arm keep all their signals, which the paper's tables hold.
+
         Raises:
             FileExistsError: If the folder holds anything.
         """
@@ -220,7 +222,9 @@ class MonitorStudy:
         signals = {criteria.P1.signal, criteria.P2.signal, criteria.S2.signal, criteria.S2.against}
         for arm, by_seed in self.scored().items():
             for seed, scores in by_seed.items():
-                scores.only(list(signals)).write(folder / SCORES / f"{arm}-{seed}.parquet")
+                whole = seed == min(by_seed) and arm in (self.protocol.baseline, self.protocol.primary_arm)
+                kept = scores if whole else scores.only(list(signals))
+                kept.write(folder / SCORES / f"{arm}-{seed}.parquet")
         observed = self.observed()
         if observed is not None:
             observed.write(folder / SCORES / f"{OBSERVING}.parquet")
