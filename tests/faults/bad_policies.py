@@ -89,6 +89,8 @@ def lerobot_policy_cases(products: Products) -> Iterator[Case]:
 
 #: What may be open in an ACT's folder: what LeRobot keeps for uploads, and what opening it replaces.
 _OPEN = ("device", "pretrained_path", "push_to_hub", "pretrained_backbone_weights")
+#: An integer of LeRobot's that it writes as false.
+_OPEN += ("replace_final_stride_with_dilation",)
 ACT_DOCUMENTS: dict[str, tuple[tuple[str, ...], int]] = {
     "config.json": (_OPEN, 60),
     "policy_preprocessor.json": (("name", "steps.2.config.device", "steps.2.config.float_dtype"), 20),
