@@ -9,10 +9,11 @@ import pytest
 
 from dualhead_eval.cli import main
 from dualhead_eval.monitor.recorded_episodes import OBSERVATIONS
+from dualhead_eval.report.monitor_page import monitor_page
 from dualhead_eval.studies.monitor.arm_scores import ArmScores, coarse
 from dualhead_eval.studies.monitor.conclusions import conclude
 from dualhead_eval.studies.monitor.families import Families, FamilyMeasure, holm
-from dualhead_eval.studies.monitor.figures import study_figures
+from dualhead_eval.studies.monitor.figures import STUDY_CAPTIONS, study_figures
 from dualhead_eval.studies.monitor.log_table import MonitorLog, read_log, write_log
 from dualhead_eval.studies.monitor.recording import parts
 from dualhead_eval.studies.monitor.regime import regime
@@ -157,6 +158,7 @@ def test_tables_and_figures_of_a_whole_study(found, protocol):
     figures = study_figures(conclusions)
     assert set(figures) == {"forest", "roc", "delay"}
     assert all(png.startswith(b"\x89PNG") for png in figures.values())
+    assert monitor_page(tables, figures, STUDY_CAPTIONS).count("<figure>") == 3
 
 
 def test_a_familys_interval_holds_the_spread_of_its_seeds():

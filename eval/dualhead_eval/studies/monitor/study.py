@@ -20,7 +20,7 @@ from dualhead_eval.report.monitor_page import monitor_page
 from dualhead_eval.report.table import Table
 from dualhead_eval.studies.monitor.arm_scores import ArmScores
 from dualhead_eval.studies.monitor.conclusions import Conclusions
-from dualhead_eval.studies.monitor.figures import study_figures
+from dualhead_eval.studies.monitor.figures import STUDY_CAPTIONS, study_figures
 from dualhead_eval.studies.monitor.log_table import MonitorLog, collect_log, read_log, write_log
 from dualhead_eval.studies.monitor.observation_scores import OBSERVING, score_observations
 from dualhead_eval.studies.monitor.recording import parts, record_log
@@ -234,7 +234,7 @@ class MonitorStudy:
     def write_page(self, tables: list[Table], found: Conclusions) -> Path:
         """Write tables and figures as one HTML page; returns its path."""
         path = self.root / "report.html"
-        write_text(path, monitor_page(tables, study_figures(found)))
+        write_text(path, monitor_page(tables, study_figures(found), STUDY_CAPTIONS))
         return path
 
     def _bar(self, title: str, total: int, unit: str) -> Any:

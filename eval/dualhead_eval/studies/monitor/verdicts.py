@@ -65,6 +65,8 @@ def grade_detection(arm: FamilyMeasure, baseline: FamilyMeasure, criteria: Crite
     else:
         grade = NOT_DECIDED
     reason = f"AUROC {arm.value:.3f} against {baseline.value:.3f}, margin {rule.lower_above:g}"
+    if arm.value != arm.value or baseline.value != baseline.value:
+        reason = "no kind and level has enough successes and failures to be compared"
     p = difference.beyond(rule.lower_above, above=True)
     return Verdict("P2", f"{rule.signal}, AUROC", difference.value, interval, grade, reason, p)
 
