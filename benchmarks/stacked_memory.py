@@ -55,7 +55,8 @@ def main() -> None:
         for _ in range(args.steps):
             stack.update()
         print(f"one run built: {alone:.2f} GiB resident; {args.runs} runs built: peak {built:.2f} GiB")
-        print(f"{args.runs} runs training: peak {peak_gib():.2f} GiB, {peak_gib() - alone:.2f} GiB beyond one built run")
+        peak = peak_gib()
+        print(f"{args.runs} runs training: peak {peak:.2f} GiB, {peak - alone:.2f} GiB beyond one built run")
 
 
 if __name__ == "__main__":
