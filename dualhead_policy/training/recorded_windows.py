@@ -70,10 +70,7 @@ class RecordedWindows:
 
     def batch(self, step: int) -> Batch:
         """The batch of training step ``step``."""
-        return self.windows(self.order.starts(step).to(self.action.device))
-
-    def windows(self, start: Tensor) -> Batch:
-        """The windows that begin at the frames ``start`` (B,), on the split's device."""
+        start = self.order.starts(step).to(self.action.device)
         return Batch(
             self.observation[start],
             self.action[self._windows(start)],

@@ -109,16 +109,7 @@ class CoordinationCertificateStep(ProcessorStep):
 
     def report(self, *, decided: bool) -> dict[str, Any]:
         """What ``info`` says: verdict, why it is not a firmer one, estimates, and whether this was a decision."""
-        reading = self.certificate.reading
-        return {
-            "verdict": reading.verdict,
-            "reason": reading.reason,
-            "delta": reading.delta,
-            "capacity": reading.capacity,
-            "valid_rate": reading.valid_rate,
-            "decisions": reading.decisions,
-            "decision": decided,
-        }
+        return self.certificate.reading.summary() | {"decision": decided}
 
     def get_config(self) -> dict[str, Any]:
         """The constructor's arguments, with what has been counted so far."""

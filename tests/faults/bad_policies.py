@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,20 @@ from safetensors.torch import load_file, save_file
 from dualhead_policy.training.checkpoints import last_checkpoint
 
 
+def _evaluated(products: Products, folder: Path) -> list[str]:
+    """The command that evaluates a policy's folder."""
+    output = str(folder.parent / "out.gate.json")
+    data = ["--dataset", str(products.data / "test"), "--pairs", "2", "--conditions", "1"]
+    return ["evaluate", "--policy", str(folder), *data, "--output", output]
+
+
 def policy_cases(products: Products) -> Iterator[Case]:
     rng = np.random.default_rng(4)
     checkpoint = last_checkpoint(products.run)
     assert checkpoint is not None
     whole = checkpoint / "pretrained_model"
 
-    def evaluated(folder: Path) -> list[str]:
-        output = str(folder.parent / "out.gate.json")
-        data = ["--dataset", str(products.data / "test"), "--pairs", "2", "--conditions", "1"]
-        return ["evaluate", "--policy", str(folder), *data, "--output", output]
-
+    evaluated = partial(_evaluated, products)
     for file, (free, most) in POLICY_DOCUMENTS.items():
         text = (whole / file).read_text()
         for what, damage in byte_damages(len(text), rng):
@@ -59,11 +63,7 @@ def lerobot_policy_cases(products: Products) -> Iterator[Case]:
     assert checkpoint is not None
     whole = checkpoint / "pretrained_model"
 
-    def evaluated(folder: Path) -> list[str]:
-        output = str(folder.parent / "out.gate.json")
-        data = ["--dataset", str(products.data / "test"), "--pairs", "2", "--conditions", "1"]
-        return ["evaluate", "--policy", str(folder), *data, "--output", output]
-
+    evaluated = partial(_evaluated, products)
     for file, (free, most) in ACT_DOCUMENTS.items():
         text = (whole / file).read_text()
         for what, damage in byte_damages(len(text), rng):

@@ -42,9 +42,9 @@ class BlockLayout:
     dtypes: dict[str, torch.dtype]
 
     @classmethod
-    def of(cls, feeds: Sequence[RunFeed], first_step: int) -> BlockLayout:
-        """The layout for N runs, whose largest batch is that of ``first_step``."""
-        example = feeds[0].inputs(first_step)
+    def of(cls, feeds: Sequence[RunFeed]) -> BlockLayout:
+        """The layout for N runs; the first batch of an epoch is the largest."""
+        example = feeds[0].inputs(0)
         bytes_per_step = len(feeds) * sum(value.nbytes for value in example.values())
         steps = max(1, BLOCK_BYTES // bytes_per_step)
         shapes = {name: (steps, len(feeds), *value.shape) for name, value in example.items()}
@@ -81,8 +81,7 @@ class DrawAhead:
 
     def __init__(self, feeds: Sequence[RunFeed], first_step: int, last_step: int, processes: int | None = None):
         count = min(processes or max(1, (os.cpu_count() or 2) - 1), len(feeds))
-        full = next((step for step in range(first_step, last_step) if feeds[0].size(step) >= feeds[0].size(0)), 0)
-        self.layout = BlockLayout.of(feeds, full)
+        self.layout = BlockLayout.of(feeds)
         self._next, self._last = first_step, last_step
         self._memory = [SharedMemory(create=True, size=self.layout.nbytes) for _ in range(BLOCKS)]
         self._views = [self.layout.views(memory) for memory in self._memory]

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import yaml
 from pydantic import AfterValidator, Field
 
-from dualhead_envs.validated_json import Schema, validated
+from dualhead_envs.validated_json import Schema
+from dualhead_envs.validated_yaml import read_validated_yaml
 
 #: Value of a flag in a YAML file.
 FlagValue = str | bool | int | float
@@ -85,14 +85,9 @@ def read_sweep(path: Path) -> SweepFile:
         FileNotFoundError: If there is none.
         ValueError: If it is not YAML, or does not fit :class:`SweepFile`.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist, expected a sweep's YAML file: see docs/sweeps.md for one")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path} is not YAML ({reason}): see docs/sweeps.md for a sweep file") from error
-    return validated(content, SweepFile, source=str(path), remedy="see docs/sweeps.md for the fields of a sweep file")
+    return read_validated_yaml(
+        path, SweepFile, what="a sweep", remedy="see docs/sweeps.md for the fields of a sweep file"
+    )
 
 
 def expand(sweep: SweepFile) -> list[SweepRun]:
@@ -102,8 +97,8 @@ def expand(sweep: SweepFile) -> list[SweepRun]:
         FileNotFoundError: If a configuration file or dataset is missing.
         ValueError: If two runs have one name.
     """
-    named = [_named(configuration) for configuration in sweep.configurations]
-    for configuration in named:
+    configurations = [named(configuration) for configuration in sweep.configurations]
+    for configuration in configurations:
         if configuration.config is not None and not Path(configuration.config).is_file():
             raise FileNotFoundError(
                 f"configuration {configuration.config} of the sweep does not exist: paths are relative to the folder "
@@ -129,7 +124,7 @@ def expand(sweep: SweepFile) -> list[SweepRun]:
             sweep.preset,
             sweep.fresh_paths,
         )
-        for (name, root), configuration, seed in itertools.product(sweep.datasets.items(), named, sweep.seeds)
+        for (name, root), configuration, seed in itertools.product(sweep.datasets.items(), configurations, sweep.seeds)
     ]
     seen: set[str] = set()
     for run in runs:
@@ -139,7 +134,8 @@ def expand(sweep: SweepFile) -> list[SweepRun]:
     return runs
 
 
-def _named(configuration: str | NamedConfiguration) -> NamedConfiguration:
+def named(configuration: str | NamedConfiguration) -> NamedConfiguration:
+    """A configuration with its name: a file's is the file's."""
     if isinstance(configuration, NamedConfiguration):
         return configuration
     return NamedConfiguration(name=Path(configuration).stem, config=configuration)

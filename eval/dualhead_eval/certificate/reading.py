@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, isnan, nan, sqrt
+from typing import Any
 
 from dualhead_eval.certificate.pooled_bounds import effect_bounds, gini_bounds
 from dualhead_eval.certificate.state import CertificateState
@@ -53,6 +54,11 @@ class CertificateReading:
     decisions: int
     used: int
     guarantee: str
+
+    def summary(self) -> dict[str, Any]:
+        """What a robot's ``info`` says of it: verdict, why it is not a firmer one, and estimates."""
+        names = ("verdict", "reason", "delta", "capacity", "valid_rate", "decisions")
+        return {name: getattr(self, name) for name in names}
 
 
 def read_certificate(state: CertificateState) -> CertificateReading:

@@ -108,17 +108,8 @@ class CertificateWrapper(DecisionWrapper):
     def report(self, *, decided: bool) -> dict[str, Any]:
         """Verdict, estimates and the last decision's residual."""
         reading = self.certificate.reading
-        return {
-            "verdict": reading.verdict,
-            "reason": reading.reason,
-            "kind": reading.kind,
-            "delta": reading.delta,
-            "capacity": reading.capacity,
-            "valid_rate": reading.valid_rate,
-            "decisions": reading.decisions,
-            "decision": decided,
-            "residual_mm": self._residual,
-        }
+        own = {"kind": reading.kind, "decision": decided, "residual_mm": self._residual}
+        return reading.summary() | own
 
 
 def _environment_state(observation: Mapping[str, Any]) -> ArrayLike:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import yaml
 from pydantic import Field, model_validator
 
-from dualhead_envs.validated_json import Label, Schema, validated
+from dualhead_envs.validated_json import Label, Schema
+from dualhead_envs.validated_yaml import read_validated_yaml
 from dualhead_eval.evaluation.protocol import FROZEN_NFE, FROZEN_PAIRS
 from dualhead_eval.studies.criterion import Criterion
-from dualhead_policy.training.sweep.sweep_file import FlagValue, Name, NamedConfiguration
+from dualhead_policy.training.sweep.sweep_file import FlagValue, Name, NamedConfiguration, named
 
-#: Largest study file that is read, in bytes.
-MAX_BYTES = 2**20
 REMEDY = "see docs/studies.md for the fields of a study"
 
 Steps = Annotated[int, Field(ge=1, le=10**8)]
@@ -159,13 +157,6 @@ class StudyFile(Schema):
         return self
 
 
-def named(configuration: str | NamedConfiguration) -> NamedConfiguration:
-    """A configuration with its name: a file's is the file's."""
-    if isinstance(configuration, NamedConfiguration):
-        return configuration
-    return NamedConfiguration(name=Path(configuration).stem, config=configuration)
-
-
 def read_study(path: Path) -> StudyFile:
     """Read a study file.
 
@@ -173,16 +164,7 @@ def read_study(path: Path) -> StudyFile:
         FileNotFoundError: If there is none.
         ValueError: If it is not YAML, or does not fit :class:`StudyFile`.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist, expected a study's YAML file: {REMEDY}")
-    if path.stat().st_size > MAX_BYTES:
-        raise ValueError(f"{path} has {path.stat().st_size} bytes, expected a study of at most {MAX_BYTES}: {REMEDY}")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path} is not YAML ({reason}): {REMEDY}") from error
-    return validated(content, StudyFile, source=str(path), remedy=REMEDY)
+    return read_validated_yaml(path, StudyFile, what="a study", remedy=REMEDY)
 
 
 def _refuse_unknown(what: str, given: Any, known: Any, where: str = "") -> None:

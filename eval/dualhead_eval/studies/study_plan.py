@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from dualhead_eval.studies.study_file import Bank, RunBlock, StudyDataset, StudyFile, named
-from dualhead_policy.training.sweep.sweep_file import FlagValue, SweepRun, command_flags
+from dualhead_eval.studies.study_file import Bank, RunBlock, StudyDataset, StudyFile
+from dualhead_policy.training.sweep.sweep_file import FlagValue, SweepRun, command_flags, named
 
 #: How a study's gate files end.
 GATE_SUFFIX = ".gate.json.gz"

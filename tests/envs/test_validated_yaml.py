@@ -1,0 +1,45 @@
+"""YAML files that people write are read in one way: bounded, safe, and refused in one sentence."""
+
+from __future__ import annotations
+
+import pytest
+
+from dualhead_envs.validated_json import Schema
+from dualhead_envs.validated_yaml import MAX_BYTES, read_validated_yaml
+
+
+class Named(Schema):
+    name: str
+
+
+def read(path):
+    return read_validated_yaml(path, Named, what="a thing", remedy="write another")
+
+
+def test_what_fits_is_read(tmp_path):
+    (tmp_path / "thing.yaml").write_text("name: one\n")
+    assert read(tmp_path / "thing.yaml") == Named(name="one")
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("name: [", "is not YAML"),
+        ("[" * 20_000, "is not YAML"),
+        ("name: !!python/object/apply:os.getcwd []", "is not YAML"),
+        ("name: 1\n", "name"),
+        ("# " + "x" * MAX_BYTES, f"expected a thing of at most {MAX_BYTES}"),
+    ],
+    ids=["torn", "deep", "code", "wrong type", "huge"],
+)
+def test_what_does_not_is_refused(tmp_path, content, sentence):
+    (tmp_path / "thing.yaml").write_text(content)
+    with pytest.raises(ValueError, match=sentence) as refused:
+        read(tmp_path / "thing.yaml")
+    assert str(refused.value).endswith("write another")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.yaml does not exist, expected a thing's YAML file"):
+        read(tmp_path / "nowhere.yaml")
