@@ -18,9 +18,9 @@ FOLDERS = {
 #: The rooms of each package, in the order of the pipeline: a module imports its own room and those above it.
 ROOMS = {
     "dualhead_envs": [
-        "atomic_files", "validated_json", "worker_processes", "space_tables", "ribbon", "layout", "dataset_sidecar",
-        "dataset_columns", "dataset_frames", "recorded_environment", "registration", "lerobot_config", "recording",
-        "ring", "bypass", "lerobot_envs", "record", "record_command",
+        "atomic_files", "validated_json", "validated_yaml", "worker_processes", "space_tables", "ribbon", "layout",
+        "dataset_sidecar", "dataset_columns", "dataset_frames", "recorded_environment", "registration",
+        "lerobot_config", "recording", "ring", "bypass", "lerobot_envs", "record", "record_command",
     ],
     "dualhead_policy": [
         "quiet", "hub_folder", "representation", "sampling", "checkpoint_loading", "kinematics",
