@@ -98,7 +98,7 @@ def _differences(
         ("fresh_paths", training.get("fresh_paths"), False),
         ("pairs_per_condition", provenance.get("pairs_per_condition"), bank.pairs),
         ("evaluation seed", provenance.get("seed"), bank.seed),
-        ("coupling", provenance.get("coupling"), {"source_noise_beta": None, "share_token": True}),
+        ("coupling", provenance.get("coupling"), {"source_noise_beta": run.source_noise_beta, "share_token": True}),
         ("nfes", gate.nfes, sorted(bank.nfes)),
         ("reference_nfe", gate.reference_nfe, bank.nfes[0]),
         ("taus", gate.taus, sorted({gate.reference_tau, *bank.taus})),

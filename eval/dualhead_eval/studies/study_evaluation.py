@@ -14,6 +14,7 @@ from dualhead_eval.gate import Gate, write_gate
 from dualhead_eval.gate.compact import compact_gate
 from dualhead_eval.studies.study_file import Bank
 from dualhead_eval.studies.study_plan import StudyEvaluation
+from dualhead_policy.sampling import SamplingCoupling
 
 
 def evaluate_study_run(
@@ -49,7 +50,13 @@ def evaluate_study_run(
             f"bank {evaluation.bank} asks for {bank.conditions} conditions, dataset {evaluation.run.dataset} has "
             f"{len(conditions)}: record it with more, or ask for fewer"
         )
-    protocol = EvaluationProtocol(pairs=bank.pairs, nfes=tuple(bank.nfes), taus=tuple(bank.taus), seed=bank.seed)
+    protocol = EvaluationProtocol(
+        pairs=bank.pairs,
+        nfes=tuple(bank.nfes),
+        taus=tuple(bank.taus),
+        seed=bank.seed,
+        coupling=SamplingCoupling(source_noise_beta=evaluation.run.source_noise_beta),
+    )
     gate = evaluate(sampler, conditions[: bank.conditions], protocol, evaluation.label, progress=progress)
     return write_study_gate(
         gate, evaluation, bank, folder, training_data=training_data, precision=precision, device=device
@@ -74,7 +81,7 @@ def write_study_gate(
         The gate as it was written.
     """
     run: dict[str, Any] = {
-        "name": evaluation.run.name,
+        "name": evaluation.run.training_name,
         "training_data": training_data,
         "precision": precision,
         "device": device,

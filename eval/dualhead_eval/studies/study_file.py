@@ -61,12 +61,30 @@ class Bank(Schema):
     residuals: bool = True
 
 
+class ResampledRow(Schema):
+    """A row that trains nothing: another row's checkpoints, their source noise coupled otherwise in sampling.
+
+    Heads whose losses are separate learn the same velocity fields under every coupling of the noise, so that what
+    the coupling does is a question to the sampler alone.
+
+    Attributes:
+        name: The row.
+        of: The configuration whose checkpoints are sampled.
+        source_noise_beta: Coupling of the heads' source noise in sampling, 1 private to 0 shared.
+    """
+
+    name: Name
+    of: Name
+    source_noise_beta: Annotated[float, Field(ge=0, le=1)]
+
+
 class RunBlock(Schema):
     """Configurations x datasets x seeds x budgets, and where their checkpoints are evaluated.
 
     Attributes:
         importance: 1 for what a claim rests on; a short budget is spent on small numbers first.
         configurations: Files of ``dualhead train --config_path``, or named rows with flags of their own.
+        resampled: Further rows, evaluated from the checkpoints of these configurations.
         datasets: Names of the study's datasets; None: all.
         seeds: Training seeds.
         steps: Training budgets; each is a run of its own.
@@ -77,6 +95,7 @@ class RunBlock(Schema):
 
     importance: Annotated[int, Field(ge=1, le=9)]
     configurations: list[str | NamedConfiguration] = Field(min_length=1)
+    resampled: list[ResampledRow] = Field(default_factory=list)
     datasets: list[Name] | None = None
     seeds: list[Seed] = Field(min_length=1)
     steps: Steps | list[Steps]
@@ -89,8 +108,22 @@ class RunBlock(Schema):
         """Training budgets, as a list."""
         return list(self.steps) if isinstance(self.steps, list) else [self.steps]
 
+    @property
+    def rows(self) -> list[str]:
+        """Names of its rows, the trained ones first."""
+        return [named(configuration).name for configuration in self.configurations] + [
+            row.name for row in self.resampled
+        ]
+
     @model_validator(mode="after")
     def _evaluates_what_it_trains(self) -> Self:
+        trained = [named(configuration).name for configuration in self.configurations]
+        for row in self.resampled:
+            if row.of not in trained or row.name in trained:
+                raise ValueError(
+                    f"its resampled row {row.name!r} needs a name of its own and is of {row.of!r}, expected one of "
+                    f"the block's configurations ({', '.join(trained)})"
+                )
         late = [step for step in self.evaluate_at or () if step > min(self.budgets)]
         if late:
             raise ValueError(f"evaluates at step {late[0]}, beyond its budget of {min(self.budgets)} steps")
@@ -146,7 +179,7 @@ class StudyFile(Schema):
         for block in self.runs:
             _refuse_unknown("dataset", block.datasets or (), self.datasets)
             _refuse_unknown("bank", block.banks or (), self.banks)
-        rows = {named(configuration).name for block in self.runs for configuration in block.configurations}
+        rows = {row for block in self.runs for row in block.rows}
         for criterion in self.criteria:
             _refuse_unknown("row", criterion.all_rows, rows, f"criterion {criterion.name}: ")
             _refuse_unknown("dataset", criterion.all_datasets, self.datasets, f"criterion {criterion.name}: ")

@@ -10,7 +10,7 @@ and share the gate files of its checkpoints:
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -23,17 +23,19 @@ GATE_SUFFIX = ".gate.json.gz"
 
 @dataclass(frozen=True)
 class StudyRun:
-    """One run of a study.
+    """One run of a study: a training, or another row's checkpoints sampled otherwise.
 
     Attributes:
         dataset: Name of its dataset.
-        configuration: Name of its configuration.
+        configuration: Name of its row.
         config: Configuration file, or None.
         flags: Flags of its own, without dashes, the study's among them.
         seed: Training seed.
         steps: Training budget.
         checkpoints: Steps whose checkpoints are wanted, increasing.
         importance: The most important block that needs it, 1 being the first.
+        trained_as: Name of the configuration whose training it is, where that is another row's.
+        source_noise_beta: Coupling of the source noise in sampling, None for the policy's own.
     """
 
     dataset: str
@@ -44,6 +46,8 @@ class StudyRun:
     steps: int
     checkpoints: tuple[int, ...]
     importance: int
+    trained_as: str | None = None
+    source_noise_beta: float | None = None
 
     @property
     def cell(self) -> str:
@@ -52,8 +56,14 @@ class StudyRun:
 
     @property
     def name(self) -> str:
-        """``DATASET/CONFIGURATION-BUDGET/seed-S``: the run's name in a sweep, and the folder of its gate files."""
+        """``DATASET/CONFIGURATION-BUDGET/seed-S``: the folder of its gate files."""
         return f"{self.cell}/seed-{self.seed}"
+
+    @property
+    def training_name(self) -> str:
+        """Name of its training in a sweep, in the form of :attr:`name`; rows that share a training share it."""
+        trained = self.trained_as or self.configuration
+        return f"{self.dataset}/{trained}-{shown_budget(self.steps)}/seed-{self.seed}"
 
     def sweep_run(self, data: Path) -> SweepRun:
         """The run as a sweep trains it, on the datasets below ``data``."""
@@ -66,7 +76,7 @@ class StudyRun:
             f"--steps={self.steps}",
             f"--save_freq={self.steps}",
         )
-        return SweepRun(self.name, str(root), self.seed, arguments, save_at=self.checkpoints)
+        return SweepRun(self.training_name, str(root), self.seed, arguments, save_at=self.checkpoints)
 
 
 @dataclass(frozen=True)
@@ -117,6 +127,11 @@ class StudyPlan:
         """The bank of an evaluation."""
         return self.banks[evaluation.run.dataset, evaluation.bank]
 
+    def trainings(self, wanted: Iterable[StudyRun]) -> list[StudyRun]:
+        """The runs that train what some runs need, each once, in their order."""
+        by_name = {run.name: run for run in self.runs}
+        return [by_name[name] for name in dict.fromkeys(run.training_name for run in wanted)]
+
 
 def plan_study(study: StudyFile, *, smoke: bool = False, later: bool = False) -> StudyPlan:
     """The runs and evaluations of a study.
@@ -138,7 +153,8 @@ def plan_study(study: StudyFile, *, smoke: bool = False, later: bool = False) ->
 def smoke_study(study: StudyFile) -> StudyFile:
     """A study in its smallest form: fewer seeds, steps, demonstrations, conditions and pairs."""
     smoke = study.smoke
-    largest = max(budget for block in study.runs if not block.later for budget in block.budgets)
+    kept = [block for block in study.runs if block.importance <= smoke.importance and not block.later]
+    largest = max(budget for block in kept for budget in block.budgets)
 
     def shrunk(steps: int) -> int:
         return max(1, round(steps * smoke.steps / largest))
@@ -151,8 +167,7 @@ def smoke_study(study: StudyFile) -> StudyFile:
                 "evaluate_at": block.evaluate_at and sorted({shrunk(step) for step in block.evaluate_at}),
             }
         )
-        for block in study.runs
-        if block.importance <= smoke.importance and not block.later
+        for block in kept
     ]
     datasets = {
         name: dataset.model_copy(
@@ -218,7 +233,7 @@ def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
     configurations = [named(configuration) for configuration in block.configurations]
     for configuration, dataset, steps, seed in itertools.product(configurations, datasets, block.budgets, block.seeds):
         points = tuple(sorted(block.evaluate_at or [steps]))
-        run = StudyRun(
+        trained = StudyRun(
             dataset=dataset,
             configuration=configuration.name,
             config=configuration.config,
@@ -228,16 +243,24 @@ def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
             checkpoints=points,
             importance=block.importance,
         )
-        runs.append(run)
-        evaluations += [
-            StudyEvaluation(run, step, bank, block.importance) for step, bank in itertools.product(points, banks)
+        resampled = [
+            replace(
+                trained, configuration=row.name, trained_as=configuration.name, source_noise_beta=row.source_noise_beta
+            )
+            for row in block.resampled
+            if row.of == configuration.name
         ]
+        for run in (trained, *resampled):
+            runs.append(run)
+            evaluations += [
+                StudyEvaluation(run, step, bank, block.importance) for step, bank in itertools.product(points, banks)
+            ]
     keyed = {(dataset, name): bank for dataset in datasets for name, bank in banks.items()}
     return StudyPlan(datasets, keyed, tuple(runs), tuple(evaluations))
 
 
 def _identity(run: StudyRun) -> tuple[object, ...]:
-    return run.config, dict(run.flags), run.seed, run.steps
+    return run.config, dict(run.flags), run.seed, run.steps, run.trained_as, run.source_noise_beta
 
 
 def _same(what: str, name: str, first: object, second: object) -> None:

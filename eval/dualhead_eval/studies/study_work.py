@@ -44,7 +44,7 @@ class Workplace:
 
     def checkpoint(self, run: StudyRun, step: int) -> Path:
         """The policy of a run's checkpoint."""
-        return self.runs / run.name / "checkpoints" / f"{step:06d}" / "pretrained_model"
+        return self.runs / run.training_name / "checkpoints" / f"{step:06d}" / "pretrained_model"
 
 
 def do_missing_work(plan: StudyPlan, place: Workplace, say: Callable[[str], object]) -> None:
@@ -66,7 +66,7 @@ def do_missing_work(plan: StudyPlan, place: Workplace, say: Callable[[str], obje
     for importance, group in itertools.groupby(missing, key=lambda evaluation: evaluation.importance):
         wanted = list(group)
         untrained = [e for e in wanted if not (place.checkpoint(e.run, e.step) / "config.json").is_file()]
-        runs = list({evaluation.run.name: evaluation.run for evaluation in untrained}.values())
+        runs = plan.trainings(evaluation.run for evaluation in untrained)
         if runs:
             say(f"importance {importance}: training {len(runs)} runs")
             _train(runs, place)

@@ -47,6 +47,7 @@ STUDY = {
         {
             "importance": 2,
             "configurations": [{"name": "A_independent", "flags": {"policy.source_noise_beta": 1.0}}],
+            "resampled": [{"name": "B_in_sampling", "of": "A_independent", "source_noise_beta": 0.0}],
             "seeds": [0, 1],
             "steps": 150,
             "banks": ["large"],
@@ -110,7 +111,8 @@ def test_a_study_goes_from_its_file_to_its_verdict(finished):
     assert gates == sorted(
         [f"ring/{name}-150/seed-{seed}/{step}-frozen.gate.json.gz" for name in ("A_independent", "B_shared_noise")
          for seed in (0, 1) for step in ("000050", "000150")]
-        + [f"ring/A_independent-150/seed-{seed}/000150-large.gate.json.gz" for seed in (0, 1)]
+        + [f"ring/{name}-150/seed-{seed}/000150-large.gate.json.gz" for name in ("A_independent", "B_in_sampling")
+           for seed in (0, 1)]
     )  # fmt: skip
     rows = list(csv.DictReader((finished / "results" / "small" / "table.csv").open()))
     assert len(rows) == len(gates)
@@ -128,6 +130,20 @@ def test_a_study_goes_from_its_file_to_its_verdict(finished):
     assert (finished / "results" / "small" / "figure.png").stat().st_size > 10_000
 
 
+def test_a_resampled_row_trains_nothing_and_has_the_couplings_reference(finished):
+    assert not (finished / "runs/ring/B_in_sampling-150").exists()
+    gates = {
+        row: read_gate(finished / f"results/gates/ring/{row}-150/seed-0/000150-large.gate.json.gz")
+        for row in ("A_independent", "B_in_sampling")
+    }
+    assert {gate.provenance["run"]["name"] for gate in gates.values()} == {"ring/A_independent-150/seed-0"}
+    with (finished / "results/small/table.csv").open() as file:
+        exact = {
+            row["configuration"]: float(row["exact_rho"]) for row in csv.DictReader(file) if row["bank"] == "large"
+        }
+    assert exact["B_in_sampling"] < -0.1 < exact["A_independent"] < 0.1
+
+
 def test_a_checkpoint_on_the_way_is_judged_by_its_own_losses(finished):
     store = {(r.configuration, r.seed, r.step): r.gate for r in study_results(finished / "results" / "gates")}
     early, late = (store["A_independent", 0, step].provenance["training"] for step in (50, 150))
@@ -142,7 +158,7 @@ def test_a_finished_study_changes_nothing_and_needs_neither_data_nor_runs(copied
     assert main(command(copied)) == 0
     assert contents(copied) == before
     out = capsys.readouterr().out
-    assert "10 of 10 evaluations are there" in out
+    assert "12 of 12 evaluations are there" in out
     assert "floor" in out
     assert not (copied / "data").exists()
 
@@ -152,7 +168,7 @@ def test_missing_gate_files_are_named(copied, capsys):
         path.unlink()
     assert main(command(copied, "--verdict-only")) == 0
     out = capsys.readouterr().out
-    assert "8 of 10 evaluations are there" in out
+    assert "10 of 12 evaluations are there" in out
     assert "missing ring/B_shared_noise-150, seed 1: 000050-frozen.gate.json.gz, 000150-frozen.gate.json.gz" in out
     assert "seed 1 missing" in out
 
@@ -161,7 +177,7 @@ def test_a_study_without_any_result_says_what_is_missing(tmp_path, capsys):
     write_study(tmp_path)
     assert main(command(tmp_path, "--verdict-only")) == 0
     out = capsys.readouterr().out
-    assert "0 of 10 evaluations are there" in out
+    assert "0 of 12 evaluations are there" in out
     assert "not graded" in out
     assert not (tmp_path / "results").exists()
 
@@ -222,7 +238,7 @@ def test_a_gate_from_another_machine_is_taken_by_what_it_holds(copied, capsys):
     gate.provenance["config"].pop("token_positions")
     write_gate(gate, path, overwrite=True)
     assert main(command(copied, "--verdict-only")) == 0
-    assert "10 of 10" in capsys.readouterr().out
+    assert "12 of 12" in capsys.readouterr().out
     assert "bf16,cuda" in (copied / "results" / "small" / "table.csv").read_text()
 
 

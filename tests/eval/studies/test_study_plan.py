@@ -83,6 +83,20 @@ def test_a_run_trains_as_a_sweep_would(tmp_path):
     assert {"--steps=400", "--save_freq=400", "--seed=1"} <= set(run.arguments)
 
 
+def test_a_resampled_row_is_its_own_run_of_another_rows_training(tmp_path):
+    block = {
+        "importance": 1,
+        "configurations": [{"name": "A"}],
+        "resampled": [{"name": "B", "of": "A", "source_noise_beta": 0.0}],
+        "seeds": [0, 1],
+        "steps": 400,
+    }
+    plan = plan_study(small(tmp_path, runs=[block]))
+    rows = [run for run in plan.runs if run.configuration == "B"]
+    assert [run.name for run in rows] == ["ring/B-400/seed-0", "ring/B-400/seed-1"]
+    assert [run.name for run in plan.trainings(rows)] == ["ring/A-400/seed-0", "ring/A-400/seed-1"]
+
+
 def test_one_name_for_two_things_is_refused(tmp_path):
     blocks = [*SMALL["runs"], SMALL["runs"][2] | {"configurations": [{"name": "B", "flags": {"batch_size": 7}}]}]
     with pytest.raises(ValueError, match="the run ring/B-400/seed-0 is given twice and differs"):
@@ -101,6 +115,10 @@ def test_one_name_for_two_things_is_refused(tmp_path):
         ({"runs": [SMALL["runs"][2] | {"banks": ["none"]}]}, "names the bank 'none'"),
         ({"runs": [SMALL["runs"][2] | {"evaluate_at": [500]}]}, "beyond its budget of 400 steps"),
         ({"runs": [SMALL["runs"][2] | {"seeds": [-1]}]}, "greater than or equal to 0"),
+        (
+            {"runs": [SMALL["runs"][2] | {"resampled": [{"name": "D", "of": "C", "source_noise_beta": 0.0}]}]},
+            "is of .C., expected one",
+        ),
         ({"surprise": 1}, "unknown field 'surprise'"),
     ],
 )
