@@ -293,6 +293,8 @@ def test_what_is_kept_gives_the_same_verdicts(tmp_path, found, protocol):
     study.keep(tmp_path / "kept", log)
     kept = MonitorStudy(protocol, "v2", "full", tmp_path / "kept")
     kept.claim_folder()
+    for key, values in log.observations.items():  # further arms are scored on what is kept
+        np.testing.assert_array_equal(kept.log().observations[key], values)
     again = conclude(kept.log(), kept.scored(), protocol, study.budget.seeds)
     own = conclude(study.log(), study.scored(), protocol, study.budget.seeds)
     assert again.verdicts == own.verdicts

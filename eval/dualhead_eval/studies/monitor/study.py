@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -209,7 +208,7 @@ class MonitorStudy:
         return found
 
     def keep(self, folder: Path, log: MonitorLog) -> None:
-        """Write what the verdicts need into another folder: a log without observations, the criteria's signals.
+        """Write what the verdicts and further arms need into another folder: the log, the criteria's signals.
 
         The first seeds of the baseline and the primary arm keep all their signals, which the paper's tables hold.
 
@@ -228,7 +227,7 @@ class MonitorStudy:
         observed = self.observed()
         if observed is not None:
             observed.write(folder / SCORES / f"{OBSERVING}.parquet")
-        write_log(replace(log, observations={}), folder / LOG)
+        write_log(log, folder / LOG)
         write_text(folder / SETTINGS, (self.root / SETTINGS).read_text())
 
     def write_page(self, tables: list[Table], found: Conclusions) -> Path:
