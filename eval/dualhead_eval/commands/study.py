@@ -62,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
     quiet_libraries()
     from dualhead_eval.report.terminal import render_table
+    from dualhead_eval.studies.residual_table import residual_table
     from dualhead_eval.studies.study import StudyFolders, judge_study, missing_lines
     from dualhead_eval.studies.study_verdict import cells_table, grades_table
     from dualhead_eval.studies.study_work import Workplace, do_missing_work
@@ -83,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
     verdict = judge_study(study, plan, folders, data)
     if verdict.cells:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))
+    if (residuals := residual_table(verdict.cells)) is not None:
+        console.print(render_table(residuals))
     console.print(render_table(grades_table(verdict.grades, study.question)))
     if smoke:
         console.print(

@@ -8,6 +8,7 @@ from dualhead_eval.report.table import Cell, Table
 from dualhead_eval.results_page.template import markdown_table
 from dualhead_eval.studies.gate_store import GateStore
 from dualhead_eval.studies.grading import grade_study
+from dualhead_eval.studies.residual_table import residual_table
 from dualhead_eval.studies.study import FIGURE_FILE, OPTIMA, StudyFolders
 from dualhead_eval.studies.study_cells import study_cells
 from dualhead_eval.studies.study_file import read_study
@@ -52,6 +53,8 @@ def _section(path: Path) -> str:
         _markdown(cell_lines),
         _markdown(grade_lines),
     ]
+    if (residuals := residual_table(cells)) is not None:
+        parts += [f"{residuals.title} ({residuals.scope}):", _markdown(residuals)]
     if grade_lines.notes:
         parts.append("\n".join(f"- {note}" for note in grade_lines.notes))
     figure = folders.own / FIGURE_FILE
