@@ -15,6 +15,7 @@ ROOT/card.json, for example
   dualhead record --env RotatingRing-v4 --representation nullspace --preset full --root data/ring4
   dualhead record --env v2 --root data/v2
   dualhead record --env v2 --ways 3 --root data/v2_three_ways
+  dualhead record --env v2 --obstacle none --amplitude 0.02 --root data/v2_20mm
 
 An interrupted recording resumes when its command is repeated. Nothing is overwritten.
 """
@@ -24,7 +25,7 @@ _PRESETS = {"smoke": 3_000, "full": 50_000}
 #: Options that are keyword arguments of an environment, and all that only one family of environments has.
 _RING_KWARGS = ("representation", "mode_probabilities", "mode_angles", "path_spread")
 _RING = ("preset", "episodes", "conditions", "bank_seed", *_RING_KWARGS)
-_BYPASS_KWARGS = ("ways",)
+_BYPASS_KWARGS = ("ways", "obstacle", "amplitude")
 _BYPASS = ("pairs", "workers", *_BYPASS_KWARGS)
 
 
@@ -67,6 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bypass.add_argument(
         "--ways", type=int, metavar="K", help="v2: 2 (left, right; default) or 3 (over the wall as well)"
     )
+    bypass.add_argument("--obstacle", metavar="NAME", help="v2: wall (default) or none")
+    bypass.add_argument(
+        "--amplitude", type=float, metavar="M", help="v2 without a wall: how far aside the two ways go (0 to 0.2 m)"
+    )
     bypass.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
     bypass.add_argument(
         "--preview", type=Path, metavar="FILE", help="also show one initial state: contact sheet (.png) or film (.gif)"
@@ -87,8 +92,8 @@ def run(args: argparse.Namespace) -> int:
     own, foreign = (_RING, _BYPASS) if is_ring else (_BYPASS, _RING)
     if given := [f"--{name.replace('_', '-')}" for name in foreign if getattr(args, name) is not None]:
         raise ValueError(f"{', '.join(given)} is not an option of {env_id}: see `dualhead record --help`")
-    if args.ways is not None and env_id != "BimodalBypass-v2":
-        raise ValueError(f"--ways is not an option of {env_id}: see `dualhead record --help`")
+    if env_id != "BimodalBypass-v2" and (of_v2 := [n for n in _BYPASS_KWARGS if getattr(args, n) is not None]):
+        raise ValueError(f"--{of_v2[0]} is not an option of {env_id}: see `dualhead record --help`")
     if args.preset and args.episodes is not None:
         raise ValueError("--preset and --episodes both set the size of train: give one of them")
     if args.preview is not None:
@@ -115,7 +120,8 @@ def run(args: argparse.Namespace) -> int:
     if args.preview is not None:
         from dualhead_envs.bypass.preview import write_preview
 
-        print(write_preview(env_id, args.preview, seed=args.seed, ways=args.ways))
+        modes = {name: env_kwargs[name] for name in _BYPASS_KWARGS if name in env_kwargs}
+        print(write_preview(env_id, args.preview, seed=args.seed, **modes))
     return 0
 
 

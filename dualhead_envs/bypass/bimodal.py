@@ -8,7 +8,7 @@ from dualhead_envs.bypass.documentation import documented
 from dualhead_envs.bypass.environment import BypassEnv
 from dualhead_envs.bypass.layout import BIMODAL_BYPASS_LAYOUT
 from dualhead_envs.bypass.partition import BIMODAL_TAU, BimodalPartition, BypassPartition, ThreeWayPartition
-from dualhead_envs.bypass.task import BIMODAL_BYPASS
+from dualhead_envs.bypass.task import BIMODAL_BYPASS, BIMODAL_WITHOUT_WALL, check_wall
 
 _LAYOUT = BIMODAL_BYPASS_LAYOUT
 
@@ -17,7 +17,9 @@ _LAYOUT = BIMODAL_BYPASS_LAYOUT
 class BimodalBypassEnv(BypassEnv):
     """A Panda carries a cube past a wall to a goal behind it, on the left or on the right.
 
-    With ``ways=3`` there is a third mode, over the wall; scene, observations, actions and success stay the same.
+    With ``ways=3`` there is a third mode, over the wall; scene, observations, actions and success stay the same. With
+    ``obstacle="none"`` there is no wall, and observations report half extents of 0: the sides are then as far apart as
+    the demonstrations' side step, ``amplitude``, makes them.
 
     The scene is robosuite 1.4.1's Lift with a wall and a goal (paper, sec:envs and app:prereg); MuJoCo steps it at
     500 Hz, 25 steps to one action (20 Hz).
@@ -60,17 +62,34 @@ class BimodalBypassEnv(BypassEnv):
     ``control``; ``feed_forward`` (True: position and pose targets are tracked without lag, False: robosuite's law as
     it is); ``pixels``, ``render_mode`` (``"rgb_array"``), ``camera`` (a camera of the scene, or None for a view of
     the obstacle) and ``image_size`` (height, width); ``ways`` (2: left and right, 3: over as well); ``tau``, the
-    partition's threshold in metres; ``perturbation``.
+    partition's threshold in metres; ``perturbation``; ``obstacle`` (``"wall"`` or ``"none"``); ``amplitude``, how far
+    aside demonstrations go without a wall, 0 to 0.2 m (None: as far as round the wall), which changes no episode.
+    Their sides lie at +-``amplitude`` and the cube starts up to 0.03 m aside: below that, no threshold lets
+    ``mode_partition`` tell them apart.
     """
 
     bypass = BIMODAL_BYPASS
     layout = _LAYOUT
     task_description = "Carry the cube past the wall, on either side, and drop it at the goal."
 
-    def __init__(self, *, ways: int = 2, tau: float = BIMODAL_TAU, **settings: Any) -> None:
+    def __init__(
+        self,
+        *,
+        ways: int = 2,
+        tau: float = BIMODAL_TAU,
+        obstacle: str = "wall",
+        amplitude: float | None = None,
+        **settings: Any,
+    ) -> None:
+        check_wall(obstacle, amplitude)
+        if obstacle == "none":
+            self.bypass = BIMODAL_WITHOUT_WALL
         super().__init__(bimodal_partition(ways, tau), **settings)
-        self._arguments["ways"] = ways
-        if ways == 3:
+        self._arguments |= {"ways": ways, "obstacle": obstacle, "amplitude": amplitude}
+        self.demonstrated_amplitude = amplitude
+        if obstacle == "none":
+            self.task_description = "Carry the cube to the goal, on either side of the straight way, and drop it there."
+        elif ways == 3:
             self.task_description = "Carry the cube past the wall, on either side or over it, and drop it at the goal."
 
 

@@ -61,6 +61,11 @@ MEANINGS = {
     "single_feature_auroc": "best AUROC of one scalar of the window for the mode (v3: for the generator's A or B)",
 }
 
+#: Rows that describe the line along which two modes part.
+SEPARATION_ROWS = (
+    "nonlateral_gap_mean_mm", "separation_angle_min_deg", "separation_angle_max_deg", "separation_angle_sd_deg",
+    "lateral_share_min", "lateral_share_mean",
+)  # fmt: skip
 
 #: What a row means where there are more than two modes.
 SETS_MEANINGS = {
@@ -76,7 +81,12 @@ Modes = tuple[Episode, ...]
 
 
 def geometry_card(
-    env_id: str, splits: Mapping[str, Sequence[Modes]], partition: BypassPartition, rejections: int
+    env_id: str,
+    splits: Mapping[str, Sequence[Modes]],
+    partition: BypassPartition,
+    rejections: int,
+    *,
+    has_obstacle: bool = True,
 ) -> dict[str, Any]:
     """The card of train, val and test, lists of (mode 0, mode 1, ...): measured values, the paper's, and meanings."""
     pairs = [pair for split in splits.values() for pair in split]
@@ -91,24 +101,26 @@ def geometry_card(
     overshoot = np.array([e.extra["overshoot"] for pair in pairs for e in pair]) * 1e3
     clearance = np.array([e.extra["clearance"] for pair in pairs for e in pair]) * 1e3
     feature, auroc = _best_feature(pairs)
-    measured = {
+    spread = float(distance.std(ddof=min(1, len(pairs) - 1)))
+    measured: dict[str, int | float | None] = {
         "pairs": len(pairs),
         "rejections": rejections,
         "frames": sum(len(episode) for pair in pairs for episode in pair),
         "mode_gap_mean_mm": float(distance.mean()),
-        "mode_gap_sd_mm": float(distance.std(ddof=min(1, len(pairs) - 1))),
+        "mode_gap_sd_mm": spread,
         "endpoint_gap_max_mm": float(np.linalg.norm(ends, axis=2).max()),
         "apex_error_mean_mm": float(apex.mean()),
         "apex_error_max_mm": float(apex.max()),
         "overshoot_mean_mm": float(overshoot.mean()),
-        "clearance_min_mm": float(clearance.min()),
+        "clearance_min_mm": float(clearance.min()) if has_obstacle else None,
         **{f"valid_share_{split}": _valid_share(split_pairs, partition) for split, split_pairs in splits.items()},
         "single_feature_auroc": auroc,
     }
-    measured["mode_gap_cv"] = measured["mode_gap_sd_mm"] / measured["mode_gap_mean_mm"]
+    measured["mode_gap_cv"] = spread / float(distance.mean()) if distance.any() else None
     of_two = partition.n_modes == 2
     if of_two:
-        measured |= _separation(gaps[0])
+        # Modes that lie on each other part along no line.
+        measured |= _separation(gaps[0]) if distance.all() else dict.fromkeys(SEPARATION_ROWS)
     meanings = (
         MEANINGS if of_two else {key: text for key, text in (MEANINGS | SETS_MEANINGS).items() if key in measured}
     )
@@ -117,14 +129,14 @@ def geometry_card(
         "env_id": env_id,
         "horizon": HORIZON,
         "measured": {key: measured[key] for key in meanings},
-        "paper": PAPER[env_id] if of_two else {},
+        "paper": PAPER[env_id] if of_two and has_obstacle else {},
         "single_feature": feature,
         "meanings": meanings,
     }
 
 
 def _separation(gaps: np.ndarray) -> dict[str, float]:
-    """Along which line two modes part, of their differences (B, H, 3) in mm."""
+    """Along which line two modes part, of their differences (B, H, 3) in mm: :data:`SEPARATION_ROWS`."""
     separation = gaps.mean(axis=1)
     # An unordered pair has a separation axis, not a direction: it is turned to point to +y.
     angle = np.degrees(np.arctan(separation[:, 2] / separation[:, 1]))

@@ -80,6 +80,8 @@ def demonstrate_modes(env: BypassEnv, seed: int) -> DemonstrationSet:
     observation, _ = env.reset(seed=seed)
     initial = env.initial_state
     amplitude = float(env.np_random.normal(AMPLITUDE, AMPLITUDE_DEVIATION))
+    if env.demonstrated_amplitude is not None:
+        amplitude *= env.demonstrated_amplitude / AMPLITUDE
     start_rotation = env.simulation.rotation.copy()
     start_position = env.simulation.position.copy()
     shared = Demonstration([observation["agent_pos"]], [observation["environment_state"]])
@@ -103,14 +105,15 @@ def demonstrate_modes(env: BypassEnv, seed: int) -> DemonstrationSet:
             demonstration.positions()[branch_step + 1 : branch_step + 1 + HORIZON, 1:], apex[1:3]
         )
         demonstrations.append(demonstration)
-    branch_step = min(
+    apart = min(
         _first_apart(first.positions(), second.positions()) for first, second in combinations(demonstrations, 2)
     )
-    return DemonstrationSet(tuple(demonstrations), branch_step - 1, amplitude)
+    # Ways that never part, without a side step, branch where they were meant to.
+    return DemonstrationSet(tuple(demonstrations), apart - 1 if apart else branch_step, amplitude)
 
 
 def _first_apart(first: np.ndarray, second: np.ndarray) -> int:
-    """The first state at which two paths (T, 3) of any lengths are further apart than :data:`SEPARATION`."""
+    """The first state at which two paths (T, 3) of any lengths are further apart than :data:`SEPARATION`; 0 if none."""
     shortest = min(len(first), len(second))
     return int(np.argmax(np.linalg.norm(first[:shortest] - second[:shortest], axis=1) > SEPARATION))
 
@@ -119,12 +122,14 @@ def apex_miss(path: np.ndarray, apex: np.ndarray) -> tuple[float, float]:
     """How far the outermost point of ``path`` (T, 2) lies from ``apex`` (2,), and how much further out (m).
 
     Both are points (y, z) of the cross-section. Outermost is the largest projection on the direction of the apex in
-    the cross-section as the partition sees it, without its flattening.
+    the cross-section as the partition sees it, without its flattening; the largest distance from an apex that lies in
+    the middle and has no direction.
     """
     scale = np.array([1.0, ROUTE_FLATTENING])
     direction = (apex - ROUTE_CENTER) / scale
     radius = np.linalg.norm(direction)
-    reach = (path - ROUTE_CENTER) / scale @ (direction / radius)
+    whitened = (path - ROUTE_CENTER) / scale
+    reach = whitened @ (direction / radius) if radius > 0 else np.linalg.norm(whitened, axis=1)
     outermost = int(reach.argmax())
     distance = float(np.linalg.norm(path[outermost] - apex))
     return distance, float(np.copysign(distance, reach[outermost] - radius))

@@ -27,9 +27,11 @@ class BypassEnv(gym.Env):
     """Base of :class:`BimodalBypassEnv` and :class:`RotatingBypassEnv`, which hold the documentation."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012  (Gymnasium's own convention)
-    bypass: ClassVar[BypassTask]
+    bypass: BypassTask
     layout: ClassVar[Layout]
     task_description: str
+    #: How far aside (m) demonstrations shall go; None for the expert's own amplitude. No episode depends on it.
+    demonstrated_amplitude: float | None = None
 
     def __init__(
         self,
@@ -60,6 +62,11 @@ class BypassEnv(gym.Env):
             self.observation_space = gym.spaces.Dict({**self.observation_space.spaces, "pixels": box})
         env_id = self.bypass.env_id
         perturbed = None if perturbation is None else parse_perturbation(perturbation, env_id)
+        if perturbed is not None and perturbed.kind == "obstacle" and not self.bypass.has_obstacle:
+            raise ValueError(
+                f"perturbation={perturbation!r} moves an obstacle that is not there: choose another kind, or make the "
+                "environment with its obstacle"
+            )
         self._arguments = {
             "control": control, "feed_forward": feed_forward, "pixels": pixels, "render_mode": render_mode,
             "camera": camera, "image_size": self._image_size, "tau": partition.tau,
@@ -147,6 +154,7 @@ class BypassEnv(gym.Env):
         initial = self.initial_state
         return {
             "env_id": self.bypass.env_id,
+            "obstacle": self.bypass.has_obstacle,
             "control": self.control,
             "physics": self.simulation.snapshot(),
             "memory": self._control.memory(),
@@ -236,7 +244,9 @@ class BypassEnv(gym.Env):
         if set(state) == {"environment_state"}:
             self._begin(InitialState.recorded(self.bypass, state["environment_state"]))
             return
-        expected = {"env_id", "control", "physics", "memory", "initial", "mode", "progress", "perturbation"}
+        expected = {
+            "env_id", "obstacle", "control", "physics", "memory", "initial", "mode", "progress", "perturbation",
+        }  # fmt: skip
         if set(state) != expected:
             raise ValueError(
                 f"options['state'] has the keys {sorted(state)}, expected {sorted(expected)} as env.unwrapped.state() "
@@ -246,6 +256,12 @@ class BypassEnv(gym.Env):
             raise ValueError(
                 f"options['state'] was recorded in {state['env_id']}, expected {self.bypass.env_id}: "
                 f"restore it in an environment made as {state['env_id']}"
+            )
+        if bool(state["obstacle"]) != self.bypass.has_obstacle:
+            there, here = ("with", "without") if state["obstacle"] else ("without", "with")
+            raise ValueError(
+                f"options['state'] was recorded {there} an obstacle, expected one {here}: restore it in an environment "
+                "made with the same obstacle"
             )
         physics = np.asarray(state["physics"], dtype=np.float64)
         if physics.shape != (self.simulation.snapshot_size,) or not np.isfinite(physics).all():

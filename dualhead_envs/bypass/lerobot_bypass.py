@@ -13,7 +13,7 @@ from lerobot.envs.configs import EnvConfig
 from dualhead_envs.bypass.layout import BIMODAL_BYPASS_LAYOUT, ROTATING_BYPASS_LAYOUT
 from dualhead_envs.bypass.partition import BIMODAL_TAU, ROTATING_TAU
 from dualhead_envs.bypass.perturbations.perturbation import parse_perturbation
-from dualhead_envs.bypass.task import BIMODAL_BYPASS, ROTATING_BYPASS
+from dualhead_envs.bypass.task import BIMODAL_BYPASS, ROTATING_BYPASS, check_wall
 from dualhead_envs.layout import Layout
 from dualhead_envs.lerobot_config import DualheadEnvConfig
 
@@ -68,18 +68,24 @@ class BypassConfig(DualheadEnvConfig):
 @EnvConfig.register_subclass("bimodal_bypass")
 @dataclass
 class BimodalBypassConfig(BypassConfig):
-    """BimodalBypass-v2: past a wall, left or right; with ``env.ways=3`` over it as well."""
+    """BimodalBypass-v2: past a wall, left or right; with ``env.ways=3`` over it as well, ``env.obstacle=none`` without.
+
+    ``env.amplitude`` (m) is how far aside demonstrations go without the wall; it changes no episode.
+    """
 
     ways: int = 2
+    obstacle: str = "wall"
+    amplitude: float | None = None
 
     def __post_init__(self) -> None:
+        check_wall(self.obstacle, self.amplitude)
         if self.ways not in (2, 3):
             raise ValueError(f"env.ways={self.ways} should be 2 (left, right) or 3 (left, right, over the wall)")
         super().__post_init__()
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
-        return super().gym_kwargs | {"ways": self.ways}
+        return super().gym_kwargs | {"ways": self.ways, "obstacle": self.obstacle, "amplitude": self.amplitude}
 
     @property
     def env_id(self) -> str:

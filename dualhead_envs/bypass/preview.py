@@ -18,7 +18,7 @@ _MOMENTS = (-84, -20, 6, 14, 34, 56, 80)
 _SUFFIXES = (".png", ".gif")
 
 
-def write_preview(env_id: str, path: Path | str, *, seed: int = 0, ways: int | None = None) -> str:
+def write_preview(env_id: str, path: Path | str, *, seed: int = 0, **settings: Any) -> str:
     """Show every mode's demonstration from the initial state of ``seed``, as a contact sheet (.png) or a film (.gif).
 
     Where OpenGL is missing, a .png is a plot of the measured paths around the obstacle instead.
@@ -27,7 +27,7 @@ def write_preview(env_id: str, path: Path | str, *, seed: int = 0, ways: int | N
         env_id: ``"BimodalBypass-v2"`` or ``"RotatingBypass-v3"``.
         path: The file to write; its suffix decides.
         seed: Seed of the initial state.
-        ways: v2's ways past the wall, by default the environment's own number.
+        settings: Arguments of the environment that decide what is demonstrated: ``ways``, ``obstacle``, ``amplitude``.
 
     Returns:
         One sentence that says what the picture shows.
@@ -40,7 +40,6 @@ def write_preview(env_id: str, path: Path | str, *, seed: int = 0, ways: int | N
     if path.suffix not in _SUFFIXES:
         raise ValueError(f"preview={str(path)!r} should end in .png (contact sheet or plot) or .gif (film)")
     size = (180, 180) if path.suffix == ".gif" else (200, 200)
-    settings: dict[str, Any] = {} if ways is None else {"ways": ways}
     env: Any = gym.make(f"dualhead_envs:{env_id}", control="pose", render_mode="rgb_array", image_size=size, **settings)
     bypass: BypassEnv = env.unwrapped
     shown = demonstrate_modes(bypass, seed)
@@ -110,7 +109,8 @@ def _plot_paths(env: BypassEnv, modes: tuple[Demonstration, ...], path: Path) ->
     for axes, (i, j) in ((above, (0, 1)), (along, (1, 2))):
         center = np.array(task.obstacle_center)[[i, j]]
         half = np.array(task.obstacle_half_size)[[i, j]]
-        axes.add_patch(Rectangle(tuple(center - half), *(2 * half), color="#335277", label="obstacle"))
+        if task.has_obstacle:
+            axes.add_patch(Rectangle(tuple(center - half), *(2 * half), color="#335277", label="obstacle"))
         axes.plot(*np.array(task.goal)[[i, j]], "o", color="#339955", label="goal")
         for mode, (demonstration, color) in enumerate(zip(modes, ("#d1495b", "#edae49", "#66a182"), strict=False)):
             axes.plot(*demonstration.positions()[:, [i, j]].T, color=color, label=f"grip site, mode {mode}")

@@ -31,8 +31,8 @@ from dualhead_envs.worker_processes import end_with, interrupts_kept_from_worker
 
 #: Pairs in the paper's data sets (sec:envs): 350/75/75 and 168/36/36.
 DEFAULT_PAIRS = {"BimodalBypass-v2": 500, "RotatingBypass-v3": 240}
-#: Arguments of the environment that decide which modes there are to demonstrate.
-MODE_KWARGS = ("ways",)
+#: Arguments of the environment that decide which modes there are to demonstrate, and how far apart.
+MODE_KWARGS = ("ways", "obstacle", "amplitude")
 #: Share of the pairs in each of val and test.
 HELD_OUT = 0.15
 HORIZON = 16
@@ -70,7 +70,7 @@ def record_bypass(
         pairs: Number of initial states (500 or 240 by default, as in the paper).
         seed: Seed of the initial states and amplitudes.
         env_kwargs: Arguments under which evaluation shall rebuild the environment (``tau``, ``control``, ...);
-            ``ways`` says which modes are demonstrated.
+            ``ways`` says which modes are demonstrated, ``obstacle`` and ``amplitude`` how far aside they go.
         workers: Processes, as many as there are cores by default.
         progress: Whether to show a progress bar on standard error.
 
@@ -168,7 +168,9 @@ def _assemble(
             "partition": env.mode_partition.to_dict(), "rejections": rejections,
         }  # fmt: skip
         assemble(splits[split], folder / split, env.layout, info, task=env.task_description)
-    card = geometry_card(env.bypass.env_id, splits, env.mode_partition, rejections)
+    card = geometry_card(
+        env.bypass.env_id, splits, env.mode_partition, rejections, has_obstacle=env.bypass.has_obstacle
+    )
     write_atomically(folder / "card.json", json.dumps(card, indent=2) + "\n")
     publish(folder, root)
 

@@ -50,12 +50,13 @@ def _add_obstacle_and_goal(root: ElementTree.Element, task: BypassTask) -> None:
     world = root.find("worldbody")
     assert world is not None
     body = ElementTree.SubElement(world, "body", name=OBSTACLE_BODY, pos=_text(task.obstacle_center))
-    size = _text(task.obstacle_half_size)
-    ElementTree.SubElement(body, "geom", name=OBSTACLE_GEOM, type="box", size=size, group="0")
-    ElementTree.SubElement(
-        body, "geom", name="obstacle_visual", type="box", size=size, group="1",
-        contype="0", conaffinity="0", rgba="0.20 0.32 0.47 1",
-    )  # fmt: skip
+    if task.has_obstacle:
+        size = _text(task.obstacle_half_size)
+        ElementTree.SubElement(body, "geom", name=OBSTACLE_GEOM, type="box", size=size, group="0")
+        ElementTree.SubElement(
+            body, "geom", name="obstacle_visual", type="box", size=size, group="1",
+            contype="0", conaffinity="0", rgba="0.20 0.32 0.47 1",
+        )  # fmt: skip
     # The touch sensor counts contacts inside its site: a little larger than the obstacle.
     ElementTree.SubElement(
         body, "site", name=OBSTACLE_TOUCH, type="box", rgba="0 0 0 0", group="4",
@@ -95,7 +96,7 @@ def _dress(root: ElementTree.Element, task: BypassTask) -> None:
         if site.get("name", "").startswith("gripper0_"):
             site.set("rgba", "0 0 0 0")
     (x, y, z), (half_x, half_y, half_z) = task.obstacle_center, task.obstacle_half_size
-    if z - half_z > TABLE_HEIGHT + 0.01:
+    if task.has_obstacle and z - half_z > TABLE_HEIGHT + 0.01:
         ElementTree.SubElement(
             world, "site", name=SHADOW_SITE, type="box", rgba="0 0 0 0.25", group="1",
             pos=_text([x, y, TABLE_HEIGHT + 0.001]), size=_text([half_x, half_y, 0.0005]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dualhead_envs.bypass.physics_engine import mujoco
-from dualhead_envs.bypass.scene import OBSTACLE_GEOM, OBSTACLE_TOUCH, SceneForm, load_scene
+from dualhead_envs.bypass.scene import OBSTACLE_BODY, OBSTACLE_GEOM, OBSTACLE_TOUCH, SceneForm, load_scene
 from dualhead_envs.bypass.task import CUBE_HALF_SIZE, START_JOINTS, TABLE_HEIGHT, BypassTask
 
 JOINTS = 7
@@ -63,7 +63,7 @@ class PandaSimulation:
         self.touched = False
         self.goal = np.array(task.goal)
         self._push = self.data.xfrc_applied[mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _HAND)][:3]
-        self._obstacle_position = self.model.body_pos[self.model.geom_bodyid[self._obstacle]]
+        self._obstacle_position = self.model.body_pos[self.model.body(OBSTACLE_BODY).id]
 
     def reset(self, cube_x: float, cube_y: float, cube_yaw: float) -> None:
         """The robot at its start with an open hand, the cube on the table at (x, y) in m, turned by yaw in rad."""
@@ -156,12 +156,14 @@ class PandaSimulation:
         return self._obstacle_position.copy()
 
     def clearance(self, limit: float = 0.2) -> float:
-        """Smallest distance (m, at most ``limit``) between the obstacle and anything that moves.
+        """Smallest distance (m, at most ``limit``) between the obstacle and anything that moves; ``limit`` without one.
 
         ``mj_geomDistance`` now and then reports a spurious 0 between a mesh and a box (measured): a distance of 0
         counts only if the touch sensor agrees.
         """
         model, nearest = self.model, limit
+        if not self.task.has_obstacle:
+            return limit
         for geom in range(model.ngeom):
             moves = model.body_weldid[model.geom_bodyid[geom]] != 0
             if not moves or not (model.geom_contype[geom] or model.geom_conaffinity[geom]):

@@ -6,7 +6,7 @@ at z = 0.8. Obstacle and goal are the paper's (app:prereg); ranges that the pape
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 Vector = tuple[float, float, float]
 
@@ -26,7 +26,7 @@ class BypassTask:
     Attributes:
         env_id: The Gymnasium id.
         obstacle_center: Centre of the obstacle's box (m, world).
-        obstacle_half_size: Half extents of that box (m).
+        obstacle_half_size: Half extents of that box (m); all 0 where nothing stands in the way.
         goal: Where the cube belongs (m, world).
         goal_radius: The cube is at the goal within this distance in the plane (m).
         goal_height: ... and below this height (m).
@@ -47,12 +47,22 @@ class BypassTask:
     cube_yaw: tuple[float, float] = (-0.25, 0.25)
     route_radius: tuple[float, float] | None = None
 
+    @property
+    def has_obstacle(self) -> bool:
+        """Whether anything stands in the way."""
+        return any(self.obstacle_half_size)
+
 
 BIMODAL_BYPASS = BypassTask(
     env_id="BimodalBypass-v2",
     obstacle_center=(0.07, 0.0, 0.89),
     obstacle_half_size=(0.025, 0.09, 0.09),
 )
+#: The same without its wall: observations report a box without extent where it stood.
+BIMODAL_WITHOUT_WALL = replace(BIMODAL_BYPASS, obstacle_half_size=(0.0, 0.0, 0.0))
+
+#: How far aside (m) demonstrations can be asked to go where there is no wall.
+MOST_AMPLITUDE = 0.2
 
 ROTATING_BYPASS = BypassTask(
     env_id="RotatingBypass-v3",
@@ -66,3 +76,22 @@ ROUTE_CENTER = (0.0, 0.955)
 ROUTE_FLATTENING = 0.68
 #: v3's yaw on the way past the obstacle is this times cos(psi), in rad (paper, sec:envs).
 ROUTE_YAW = 0.45
+
+
+def check_wall(obstacle: str, amplitude: float | None) -> None:
+    """Refuse an obstacle that does not exist, and a side step that leads into the wall or out of reach.
+
+    Raises:
+        ValueError: In one sentence.
+    """
+    if obstacle not in ("wall", "none"):
+        raise ValueError(f"obstacle={obstacle!r} should be 'wall' or 'none'")
+    if amplitude is None:
+        return
+    if not (isinstance(amplitude, (int, float)) and 0 <= amplitude <= MOST_AMPLITUDE):
+        raise ValueError(
+            f"amplitude={amplitude!r} should be how far aside demonstrations go, 0 to {MOST_AMPLITUDE} m, for example "
+            "0.02"
+        )
+    if obstacle != "none":
+        raise ValueError(f"amplitude={amplitude!r} may lead into the wall: give obstacle='none' (--obstacle none) too")

@@ -100,6 +100,9 @@ RECORD_FLAGS = [
     ("--env", "v2", "--root", "r", "--episodes", "3", "episodes"), ("--root", "/dev/null/r", "/dev/null"),
     ("--env", "v2", "--root", "r", "--ways", "4", "ways"), ("--env", "v2", "--root", "r", "--ways", "x", "ways"),
     ("--env", "v3", "--root", "r", "--ways", "3", "ways"), ("--root", "r", "--ways", "3", "ways"),
+    ("--env", "v3", "--root", "r", "--amplitude", "0.1", "amplitude"),
+    ("--env", "v2", "--root", "r", "--amplitude", "0.1", "obstacle"),
+    ("--env", "v2", "--root", "r", "--obstacle", "beam", "beam"),
 ]  # fmt: skip
 OTHERS = [
     ("report", "", "empty"), ("train", "--output_dir=x", "dataset.root"), ("evaluate", "--output"), ("report", "GATE"),

@@ -35,6 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=Path, help="folder of the training runs (default: outputs/studies)")
     parser.add_argument("--jobs", type=int, default=2, help="groups of runs or evaluations at a time (default: 2)")
     parser.add_argument("--precision", choices=["fp32", "tf32", "bf16"], default="fp32", help="as in `dualhead sweep`")
+    parser.add_argument(
+        "--importance", type=int, metavar="N", help="only what the study counts as this important or more (1: first)"
+    )
     parser.add_argument("--later", action="store_true", help="also what the study marks as `later`")
     parser.add_argument("--verdict-only", action="store_true", help="train and evaluate nothing")
     parser.add_argument("--no-progress", action="store_true", help="do not draw progress bars")
@@ -49,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.jobs < 1:
         raise ValueError(f"--jobs {args.jobs} is not positive: give at least 1")
+    if args.importance is not None and args.importance < 1:
+        raise ValueError(f"--importance {args.importance} is none: give 1 for what comes first, up to 9 for everything")
     from dualhead_eval.studies.study_file import read_study
     from dualhead_eval.studies.study_plan import plan_study, smoke_study
 
@@ -80,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
             precision=args.precision,
             show_progress=not args.no_progress,
         )
-        do_missing_work(plan, place, console.print)
+        do_missing_work(plan, place, console.print, args.importance)
     verdict = judge_study(study, plan, folders, data)
     if verdict.cells:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))

@@ -47,19 +47,26 @@ class Workplace:
         return self.runs / run.training_name / "checkpoints" / f"{step:06d}" / "pretrained_model"
 
 
-def do_missing_work(plan: StudyPlan, place: Workplace, say: Callable[[str], object]) -> None:
+def do_missing_work(
+    plan: StudyPlan, place: Workplace, say: Callable[[str], object], least_importance: int | None = None
+) -> None:
     """Record, train and evaluate what a study's gate files lack.
 
     Args:
         plan: What is wanted.
         place: Where.
         say: Told what begins.
+        least_importance: Leave out what is less important (a larger number); None: do everything.
 
     Raises:
         ValueError: If a run failed, or the data at hand are not those of the gates that are there.
     """
     store = GateStore(place.gates)
-    missing = store.missing(plan)
+    missing = [
+        evaluation
+        for evaluation in store.missing(plan)
+        if least_importance is None or evaluation.importance <= least_importance
+    ]
     if not missing:
         return
     _record_missing(plan, missing, place, say)

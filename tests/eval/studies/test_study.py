@@ -163,6 +163,17 @@ def test_a_finished_study_changes_nothing_and_needs_neither_data_nor_runs(copied
     assert not (copied / "data").exists()
 
 
+def test_a_short_budget_is_spent_on_what_is_important(copied, capsys):
+    large = copied / "results/gates/ring/A_independent-150/seed-0/000150-large.gate.json.gz"
+    large.unlink()
+    assert main(command(copied, "--importance", "1")) == 0  # what is missing has importance 2
+    assert not large.exists()
+    assert not (copied / "data").exists()
+    assert "11 of 12 evaluations are there" in capsys.readouterr().out
+    assert main(command(copied, "--importance", "0")) != 0
+    assert "--importance 0 is none: give 1" in capsys.readouterr().err
+
+
 def test_missing_gate_files_are_named(copied, capsys):
     for path in (copied / "results" / "gates" / "ring" / "B_shared_noise-150" / "seed-1").iterdir():
         path.unlink()
