@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import torch
@@ -14,7 +15,7 @@ from dualhead_policy.hub_folder import file_inside
 
 
 def load_strictly(model: nn.Module, model_file: str | Path, device: str) -> None:
-    """Load every tensor of ``model_file`` into ``model``.
+    """Load every tensor of ``model_file`` into ``model``; one that has several names there is held under any of them.
 
     Raises:
         FileNotFoundError: If the file is missing.
@@ -29,7 +30,7 @@ def load_strictly(model: nn.Module, model_file: str | Path, device: str) -> None
             f"{path} is not a readable safetensors file: it may be truncated; copy it again or load another checkpoint"
         ) from error
     own = model.state_dict()
-    missing = sorted(set(own) - set(tensors))
+    missing = sorted(missing_tensors(model, tensors))
     unexpected = sorted(set(tensors) - set(own))
     reshaped = sorted(
         name
@@ -50,4 +51,16 @@ def load_strictly(model: nn.Module, model_file: str | Path, device: str) -> None
                 f"{path} {problem} tensors ({some}): it does not belong to this config.json; load the folder "
                 "that the policy was saved to"
             )
-    model.load_state_dict(tensors, strict=True)
+    model.load_state_dict(tensors, strict=False)
+
+
+def missing_tensors(model: nn.Module, held: Collection[str]) -> set[str]:
+    """Names of the tensors of ``model`` that are held under none of their names.
+
+    Args:
+        model: The model; modules that it holds twice give their tensors two names, of which files keep one.
+        held: Names in a file.
+    """
+    own = model.state_dict(keep_vars=True)
+    covered = {id(own[name]) for name in own.keys() & set(held)}
+    return {name for name, tensor in own.items() if id(tensor) not in covered}

@@ -8,13 +8,10 @@ from typing import Any
 import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.policies.utils import populate_queues
-from lerobot.utils.constants import ACTION, OBS_IMAGES
+from lerobot.utils.constants import ACTION, OBS_IMAGE, OBS_IMAGES
 from torch import Tensor
 
 from dualhead_policy.lerobot_policies.policy_types import POLICY_TYPES, PolicyType
-
-#: Rows of a batch at most.
-BATCH_ROWS = 1024
 
 
 class ChunkPolicy:
@@ -31,7 +28,7 @@ class ChunkPolicy:
         executed_steps: Actions that the policy executes of a chunk.
 
     Raises:
-        ValueError: If the policy averages overlapping chunks, which belong to no single draw.
+        ValueError: If the policy averages overlapping chunks, which belong to no single draw, or repeats actions.
     """
 
     def __init__(
@@ -48,6 +45,11 @@ class ChunkPolicy:
             raise ValueError(
                 f"the policy has temporal_ensemble_coeff={config.temporal_ensemble_coeff}, so that what it executes is "
                 "an average over several chunks, expected null: save it without, with n_action_steps as wanted"
+            )
+        if getattr(config, "n_action_repeats", 1) != 1:
+            raise ValueError(
+                f"the policy has n_action_repeats={config.n_action_repeats}, so that what it executes is not its plan, "
+                "expected 1: save it so, with n_action_steps as wanted"
             )
         executed = getattr(config, "n_action_steps", None) or getattr(config, "action_chunk_size", None)
         self.executed_steps = 1 if executed is None else int(executed)
@@ -119,7 +121,8 @@ class ChunkPolicy:
         with torch.random.fork_rng(devices=_devices(self.policy)), torch.no_grad():
             torch.manual_seed(seed)
             parts = [
-                self._chunk({key: value[part] for key, value in history.items()}) for part in rows.split(BATCH_ROWS)
+                self._chunk({key: value[part] for key, value in history.items()})
+                for part in rows.split(self._type.batch_rows)
             ]
         return torch.cat(parts).reshape(conditions, draws, *parts[0].shape[1:])
 
@@ -135,9 +138,18 @@ class ChunkPolicy:
             batch = {key: value for key, value in batch.items() if key in history}
             if images and OBS_IMAGES in queues:
                 batch[OBS_IMAGES] = torch.stack([batch[key] for key in images], dim=-4)
+            if images and OBS_IMAGE in queues:
+                batch[OBS_IMAGE] = batch[images[0]]
             # As the policy's own select_action does, without deciding at every step of the past.
             populate_queues(queues, batch, exclude_keys=[ACTION])
-        chunk = policy.predict_action_chunk(batch)
+        chunk = policy.select_action(batch)[:, None] if self._type.single_action else policy.predict_action_chunk(batch)
+        chunk = chunk.transpose(0, 1) if self._type.time_first else chunk
+        expected = (len(next(iter(history.values()))), self.action_width)
+        if chunk.ndim != 3 or (len(chunk), chunk.shape[-1]) != expected:
+            raise ValueError(
+                f"a policy of type {self.name!r} predicts actions of shape {tuple(chunk.shape)}, expected "
+                f"(B, H, D) with B = {expected[0]} rows and D = {expected[1]} dimensions: evaluate another type"
+            )
         return self.postprocess(chunk).cpu().to(torch.float32)
 
     def is_deterministic(self, history: Mapping[str, Tensor]) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from lerobot.configs import FeatureType, PreTrainedConfig
 
 from dualhead_envs.validated_json import Label, read_json, shown, validated
 from dualhead_policy.hub_folder import file_inside
+from dualhead_policy.lerobot_policies.offline import FetchError
 from dualhead_policy.lerobot_policies.policy_types import PolicyType, require_policy_type
 
 REMEDY = "load the folder that the policy was saved to"
@@ -22,6 +23,10 @@ LARGEST = 65_536
 MOST_LAYERS = 256
 #: Fields that training alone reads.
 _TRAINING = re.compile(r"(optimizer|scheduler)_.*|n_vqvae_training_steps")
+#: A word, which can be neither a path nor an address nor OWNER/NAME on a hub.
+_WORD = re.compile(r"[\w-]{0,40}")
+#: Fields of every configuration, of which opening a policy reads none that names anything.
+_COMMON = {field.name for field in fields(PreTrainedConfig)}
 _FEATURES = {"observation.state": FeatureType.STATE, "observation.environment_state": FeatureType.ENV}
 
 
@@ -44,7 +49,8 @@ def read_lerobot_configuration(folder: Path, *, device: str) -> tuple[PreTrained
 
     Raises:
         FileNotFoundError: If it is missing.
-        ValueError: If it is of a type that is not opened, or a field is unknown or holds what it cannot.
+        ValueError: If nothing installed registers its type, or a field is unknown, holds what it cannot, or names a
+            file, an address or a repository other than the type's own default.
     """
     source = str(folder / "config.json")
     document = _document(folder)
@@ -54,17 +60,15 @@ def read_lerobot_configuration(folder: Path, *, device: str) -> tuple[PreTrained
         raise ValueError(
             f"{source} has use_peft: true, expected a whole policy: merge the adapter into its policy first"
         )
-    for field, value in _numbers(document):
-        limit = MOST_LAYERS if "layer" in field else LARGEST
-        if isinstance(value, int) and abs(value) > limit and not _TRAINING.fullmatch(field):
-            raise ValueError(f"{source} has {field} = {shown(value)}, expected at most {limit}: {REMEDY}")
     replaced = {key: value for key, value in policy_type.replaced.items() if key in document}
-    # Importing the policies registers their configurations by name.
-    import lerobot.policies  # noqa: F401
-
+    config_class = PreTrainedConfig.get_choice_class(name)
+    default = _defaults(config_class)
+    _check_chosen({key: value for key, value in document.items() if key not in replaced}, default, source)
     kept = {"device": device, "pretrained_path": None, "push_to_hub": False}
     try:
-        config = draccus.decode(PreTrainedConfig.get_choice_class(name), document | replaced | kept)
+        config = draccus.decode(config_class, document | replaced | kept)
+    except (ImportError, FetchError):
+        raise
     except Exception as error:  # draccus and the configurations raise what they like; all of it is about the file
         raise ValueError(
             f"{source} is no configuration of type {name!r} ({shown(str(error), 200)}): {REMEDY}"
@@ -87,6 +91,48 @@ def _document(folder: Path) -> dict[str, Any]:
     source = file_inside(folder, "config.json")
     document = read_json(source, kind="a policy's configuration", remedy=REMEDY)
     return validated(document, dict[Label, Any], source=str(source), remedy=REMEDY)
+
+
+def _defaults(config_class: type) -> dict[str, Any]:
+    """The fields' defaults as JSON has them, without making a configuration; a type's own code may fetch then."""
+    defaults: dict[str, Any] = {}
+    for field in fields(config_class):
+        default: Any = field.default
+        if field.default_factory is not MISSING:
+            default = field.default_factory()
+        defaults[field.name] = None if default is MISSING else draccus.encode(default)
+    return defaults
+
+
+def _check_chosen(document: dict[str, Any], default: dict[str, Any], source: str) -> None:
+    """Bound what a folder chooses: numbers that size a network, and words, but nothing that its policy could open.
+
+    Raises:
+        ValueError: If a field differs from the type's default, and holds too large a number, or text that could be a
+            path, an address or a repository.
+    """
+    for field, value in document.items():
+        if _TRAINING.fullmatch(field) or _same(default.get(field), value):
+            continue
+        for name, number in _numbers(value, field):
+            limit = MOST_LAYERS if "layer" in name else LARGEST
+            if isinstance(number, int) and abs(number) > limit:
+                raise ValueError(f"{source} has {name} = {shown(number)}, expected at most {limit}: {REMEDY}")
+        if field not in _COMMON and not all(map(_WORD.fullmatch, _texts(value))):
+            raise ValueError(
+                f"{source} has {field} = {shown(value)}, expected numbers, words, or the type's own default "
+                f"({shown(default.get(field))}): a folder may not name files or addresses; load the policy yourself "
+                "and evaluate it in Python (docs/any_policy.md)"
+            )
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Every text of a JSON value."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _texts(item)
 
 
 def _numbers(value: Any, field: str = "") -> Iterator[tuple[str, Any]]:

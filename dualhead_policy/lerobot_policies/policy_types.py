@@ -1,4 +1,4 @@
-"""Which of LeRobot's policy types a stranger's folder may be of, and what is set aside while it is opened."""
+"""LeRobot's policy types: which there are, and what opening and sampling one takes."""
 
 from __future__ import annotations
 
@@ -7,26 +7,37 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from lerobot.configs import PreTrainedConfig
+from lerobot.utils.import_utils import register_third_party_plugins
+
+from dualhead_envs.validated_json import shown
+
 
 @dataclass(frozen=True)
 class PolicyType:
-    """What opening and sampling one policy type takes.
+    """What opening and sampling one policy type takes; the defaults are LeRobot's own conventions.
 
     Attributes:
         replaced: Fields of the configuration that are replaced, because following them would download or compile.
         steps_field: The field that says how many denoising steps a sample takes; None where a sample takes one pass.
         whole_chunk: Whether the policy cuts its chunk to ``n_action_steps``, so that this is widened to see all of it.
+        time_first: Whether its chunks are (H, B, D).
+        single_action: Whether it decides one action at a time, whose chunk is one step long.
+        batch_rows: Rows of a batch at most.
     """
 
     replaced: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     steps_field: str | None = None
     whole_chunk: bool = False
+    time_first: bool = False
+    single_action: bool = False
+    batch_rows: int = 1024
 
 
 #: Weights of an image encoder come with the policy's own; the field's value would be fetched from elsewhere.
 _ENCODER = {"pretrained_backbone_weights": None}
 
-#: The types whose modules were read: nothing in them runs code or opens a file that a configuration names.
+#: Types that differ from the conventions; every other registered type is opened by them.
 POLICY_TYPES: Mapping[str, PolicyType] = MappingProxyType(
     {
         "act": PolicyType(MappingProxyType(_ENCODER)),
@@ -34,19 +45,28 @@ POLICY_TYPES: Mapping[str, PolicyType] = MappingProxyType(
             MappingProxyType(_ENCODER | {"compile_model": False}), steps_field="num_inference_steps", whole_chunk=True
         ),
         "vqbet": PolicyType(MappingProxyType(_ENCODER)),
+        # Plans by trying hundreds of action sequences a row.
+        "tdmpc": PolicyType(time_first=True, batch_rows=32),
+        "gaussian_actor": PolicyType(single_action=True),
     }
 )
 
 
 def require_policy_type(name: Any, source: str) -> PolicyType:
-    """The policy type called ``name``.
+    """What the policy type called ``name`` takes, one of LeRobot's or of an installed plugin.
 
     Raises:
-        ValueError: If a folder of this type cannot be opened without trusting it.
+        ValueError: If nothing that is installed registers it.
     """
-    if not isinstance(name, str) or name not in POLICY_TYPES:
+    # Importing the policies registers their configurations by name.
+    import lerobot.policies  # noqa: F401
+
+    if isinstance(name, str) and name not in PreTrainedConfig.get_known_choices():
+        register_third_party_plugins()
+    known = PreTrainedConfig.get_known_choices()
+    if not isinstance(name, str) or name not in known:
         raise ValueError(
-            f"{source} has type {name!a:.60}, expected 'dualhead' or one of {sorted(POLICY_TYPES)}, whose folders run "
-            "no code when they are opened: load the policy yourself and evaluate it in Python (docs/any_policy.md)"
+            f"{source} has type {shown(name)}, which no installed package registers (known: {', '.join(sorted(known))}"
+            "): install the plugin that it comes from (a distribution lerobot_policy_*)"
         )
-    return POLICY_TYPES[name]
+    return POLICY_TYPES.get(name, PolicyType())
