@@ -16,6 +16,7 @@ CHOICES = {
     "token_draw": ("uniform", "marginal", "learned"),
     "latent": (None, "prior", "posterior"),
     "consistency_norm": ("normalized", "meters"),
+    "rotation_noise": ("coupled", "private"),
     "lr_schedule": ("cosine", "constant"),
     "normalize_actions": ("auto", "mean_std", "identity"),
     "statistics": ("keep", "replace"),

@@ -65,6 +65,8 @@ class DualheadConfig(PreTrainedConfig):
         rotation_head: Whether a third head predicts the orientation, by flow matching on its 6-D representation.
         rotation_consistency_weight: Weight of the squared geodesic angle (rad^2) between the rotation of the joint
             head's clean endpoint and the rotation head's.
+        rotation_noise: ``"coupled"``: the rotation head's source noise is coupled to the others' by
+            ``source_noise_beta``; ``"private"``: it is its own (tab:pose does not say which).
         kinematic_map: The map from joints to the position, instead of the one that the dataset's names imply: for a
             robot of your own ``"file:PATH#LINK"`` with its URDF or MJCF.
         normalize_actions: ``"mean_std"``, ``"identity"``, or ``"auto"``: identity on the ring, where trained
@@ -114,6 +116,7 @@ class DualheadConfig(PreTrainedConfig):
     consistency_norm: str = "normalized"
     rotation_head: bool = False
     rotation_consistency_weight: float = 0.0
+    rotation_noise: str = "coupled"
     kinematic_map: str | None = None
 
     device: str | None = None
@@ -169,6 +172,11 @@ class DualheadConfig(PreTrainedConfig):
     @property
     def reward_delta_indices(self) -> None:
         return None
+
+    @property
+    def private_noise_heads(self) -> tuple[str, ...]:
+        """Heads whose source noise is their own whatever ``source_noise_beta``."""
+        return ("rotation",) if self.rotation_noise == "private" else ()
 
     @property
     def drop_n_last_frames(self) -> int:
@@ -233,6 +241,11 @@ def _check_together(config: DualheadConfig) -> None:
         raise ValueError(
             f"policy.rotation_consistency_weight={config.rotation_consistency_weight} compares the joint head with a "
             "rotation head: set policy.rotation_head=true, or leave the weight at 0"
+        )
+    if config.rotation_noise == "private" and not config.rotation_head:
+        raise ValueError(
+            "policy.rotation_noise='private' is that of a rotation head: set policy.rotation_head=true, or leave it at "
+            "'coupled'"
         )
     if config.kinematic_map is not None:
         try:

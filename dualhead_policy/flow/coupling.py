@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -26,8 +26,11 @@ def resolve_source_noise(
     head_dims: Mapping[str, int],
     beta: float,
     generator: torch.Generator | None,
+    private: Collection[str] = (),
 ) -> Mapping[str, Tensor]:
     """Source noise by head, each (*shape, d): the caller's, or drawn with the caller's beta or else ``beta``.
+
+    The noise of ``private`` heads is their own whatever beta.
 
     Raises:
         ValueError: If the caller's noise lacks a head.
@@ -38,7 +41,7 @@ def resolve_source_noise(
             raise ValueError(f"coupling.source_noise lacks {missing}: give the noise of every head")
         return coupling.source_noise
     own = coupling.source_noise_beta
-    return coupled_source_noise(shape, head_dims, beta if own is None else own, generator)
+    return coupled_source_noise(shape, head_dims, beta if own is None else own, generator, private)
 
 
 def resolve_shared_draws(

@@ -41,6 +41,7 @@ class DrawRule:
         chunk_size: H.
         head_dims: Dimensions d of each head's space, by head.
         source_noise_beta: Coupling of the heads' source noise.
+        private_noise_heads: Heads whose noise is their own whatever that coupling.
         observation_dim: Size C of the observation noise, 0 for none.
         n_tokens: Tokens among which a corrupted one is drawn, 0 for none.
         latent_dim: Dimensions of the latent, or None for none.
@@ -50,6 +51,7 @@ class DrawRule:
     chunk_size: int
     head_dims: Mapping[str, int]
     source_noise_beta: float
+    private_noise_heads: tuple[str, ...]
     observation_dim: int
     n_tokens: int
     latent_dim: int | None
@@ -66,7 +68,10 @@ class DrawRule:
         key = step_key(self.seed, step, purpose, rank)
         generator = keyed_generator(*key)
         time = torch.rand(batch, generator=generator)
-        source = coupled_source_noise((batch, self.chunk_size), self.head_dims, self.source_noise_beta, generator)
+        shape = (batch, self.chunk_size)
+        source = coupled_source_noise(
+            shape, self.head_dims, self.source_noise_beta, generator, self.private_noise_heads
+        )
         noise = corruption = latent = None
         if self.observation_dim:
             noise = torch.randn(batch, self.observation_dim, generator=keyed_generator(*key, "observation"))

@@ -25,7 +25,9 @@ def draw_path_points(
     config = model.config
     time = torch.rand(len(like), generator=generator).to(like)
     shape = (len(like), config.chunk_size)
-    noise = coupled_source_noise(shape, model.head_dims, config.source_noise_beta, generator)
+    noise = coupled_source_noise(
+        shape, model.head_dims, config.source_noise_beta, generator, config.private_noise_heads
+    )
     return time, {head: value.to(like) for head, value in noise.items()}
 
 
@@ -45,6 +47,7 @@ def draw_rule(model: DualheadModel, observation_dim: int, *, seed: int, has_toke
         config.chunk_size,
         dict(model.head_dims),
         config.source_noise_beta,
+        config.private_noise_heads,
         observation_dim if config.observation_noise and model.training else 0,
         tokens.n_tokens if tokens is not None and corrupted else 0,
         None if model.shared_latent is None else model.shared_latent.dim,

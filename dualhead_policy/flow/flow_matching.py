@@ -5,7 +5,7 @@ x_t = (1 - t) x_0 + t x_1, regression target x_1 - x_0, Euler integration from t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import torch
 from torch import Tensor
@@ -14,7 +14,11 @@ Generator = torch.Generator | None
 
 
 def coupled_source_noise(
-    shape: tuple[int, ...], dims: Mapping[str, int], beta: float, generator: Generator
+    shape: tuple[int, ...],
+    dims: Mapping[str, int],
+    beta: float,
+    generator: Generator,
+    private: Collection[str] = (),
 ) -> dict[str, Tensor]:
     """Source noise of every head, coupled by ``beta`` (sec:heads).
 
@@ -27,6 +31,7 @@ def coupled_source_noise(
         dims: Dimensions of each head's space, by head.
         beta: Coupling in [0, 1].
         generator: Source of randomness; the draws are made on its device.
+        private: Heads whose noise is their own whatever beta.
 
     Returns:
         Noise by head, each (*shape, d_i).
@@ -38,10 +43,16 @@ def coupled_source_noise(
 
     if beta >= 1:
         return {head: normal(dim) for head, dim in dims.items()}
-    shared = normal(max(dims.values()))
-    if beta <= 0:
-        return {head: shared[..., :dim] for head, dim in dims.items()}
-    return {head: (1 - beta) ** 0.5 * shared[..., :dim] + beta**0.5 * normal(dim) for head, dim in dims.items()}
+    shared = normal(max(dim for head, dim in dims.items() if head not in private))
+
+    def drawn(head: str, dim: int) -> Tensor:
+        if head in private:
+            return normal(dim)
+        if beta <= 0:
+            return shared[..., :dim]
+        return (1 - beta) ** 0.5 * shared[..., :dim] + beta**0.5 * normal(dim)
+
+    return {head: drawn(head, dim) for head, dim in dims.items()}
 
 
 def interpolate(source: Tensor, target: Tensor, time: Tensor) -> Tensor:

@@ -39,7 +39,10 @@ def sample_chunks(
     leading = (len(observation), num_samples)
     embedding = model.embed(observation)
     shape = (*leading, model.config.chunk_size)
-    source = resolve_source_noise(coupling, shape, model.head_dims, model.config.source_noise_beta, generator)
+    config = model.config
+    source = resolve_source_noise(
+        coupling, shape, model.head_dims, config.source_noise_beta, generator, config.private_noise_heads
+    )
     shared = _shared_draws(model, embedding, num_samples, coupling, generator)
     heads: dict[str, Tensor] = {}
     diverged = torch.zeros(leading, dtype=torch.bool, device=observation.device)

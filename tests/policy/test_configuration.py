@@ -32,6 +32,7 @@ RING = ["joint.nullspace.0", "joint.nullspace.1", "position.x", "position.y"]
         ({"latent": "prior", "free_bits": 0.1}, "belongs to policy.latent='posterior'"),
         ({"token_draw": "learned"}, "needs a token"),
         ({"rotation_consistency_weight": 1.0}, "set policy.rotation_head=true"),
+        ({"rotation_noise": "private"}, "is that of a rotation head"),
         ({"consistency_weight": -1.0}, "must not be negative"),
         ({"consistency_norm": "inches"}, "is not one of"),
         ({"padded_steps": 16}, "must lie in 0"),

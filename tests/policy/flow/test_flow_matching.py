@@ -31,6 +31,19 @@ def test_the_narrower_head_takes_the_first_coordinates_of_the_shared_noise():
     assert torch.equal(noise["joint"][..., :6], noise["rotation"])
 
 
+@pytest.mark.parametrize("beta", [0.0, 0.5, 1.0])
+def test_a_private_heads_noise_is_independent_and_leaves_the_others_as_they_were(beta):
+    dims = {"joint": 7, "position": 3, "rotation": 6}
+    noise = coupled_source_noise((SAMPLES,), dims, beta, keyed_generator(1), private=("rotation",))
+    for head in ("joint", "position"):
+        correlation = np.corrcoef(noise["rotation"][:, 0], noise[head][:, 0])[0, 1]
+        assert abs(correlation) < 5 / SAMPLES**0.5
+    assert noise["rotation"].std() == pytest.approx(1, abs=0.02)
+    coupled = coupled_source_noise((SAMPLES,), {"joint": 7, "position": 3}, beta, keyed_generator(1))
+    torch.testing.assert_close(noise["joint"], coupled["joint"], rtol=0, atol=0)
+    torch.testing.assert_close(noise["position"], coupled["position"], rtol=0, atol=0)
+
+
 @given(seed=st.integers(0, 2**31), step=st.integers(0, 10**9))
 def test_draws_depend_on_seed_and_step_alone(seed, step):
     first = torch.randn(4, generator=keyed_generator(seed, step, "train"))
