@@ -1,13 +1,14 @@
-"""Which policies keep both ways round the wall, which choose one, which average the two into it.
+"""Which policies keep both ways round the obstacle, which choose one, which average the two into it.
 
-    uv run --group benchmarks python benchmarks/multimodality.py train --data data/v2 --runs outputs/multimodality
-    uv run --group benchmarks python benchmarks/multimodality.py evaluate --data data/v2 --runs outputs/multimodality
-    uv run python benchmarks/multimodality.py table
-    uv run --group benchmarks python benchmarks/multimodality.py figure --data data/v2 --runs outputs/multimodality
+    uv run --group benchmarks python benchmarks/multimodality.py train --env v2 --data data/v2
+    uv run --group benchmarks python benchmarks/multimodality.py evaluate --env v2 --data data/v2
+    uv run python benchmarks/multimodality.py table --env v2
+    uv run --group benchmarks python benchmarks/multimodality.py figure --env v2 --data data/v2
 
 LeRobot's policies are trained by `lerobot-train` with the frames in memory (`lerobot_train_in_memory.py`, which checks
-itself), ours by `dualhead train`; all on the same demonstrations of BimodalBypass-v2. `evaluate` writes gate
-files and closed-loop outcomes to results/multimodality, `table` reads nothing else. The criteria stand in
+itself), ours by `dualhead train`; all on the same demonstrations of BimodalBypass-v2 (`--env v2`) or RotatingBypass-v3
+(`--env v3`). `evaluate` writes gate files and closed-loop outcomes to results/multimodality/ENV, `table` reads nothing
+else. `--smoke` does all of it with a few steps, pairs and episodes, in RUNS. The criteria stand in
 results/multimodality/README.md.
 """
 
@@ -28,8 +29,8 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "multimodality"
-FIGURE = ROOT / "docs" / "images" / "multimodality.png"
-BATCH, PAIRS, EPISODES, SEED, LOG_FREQ = 64, 64, 50, 0, 250
+IMAGES = ROOT / "docs" / "images"
+BATCH, SEED, LOG_FREQ = 64, 0, 250
 #: Constant dimensions (rotations that hold still) would be blown up by a division by their standard deviation.
 MAPPING = json.dumps(dict.fromkeys(["STATE", "ENV", "ACTION"], "MIN_MAX"))
 
@@ -63,87 +64,141 @@ _DIFFUSION = (
     "--policy.drop_n_last_frames=11", "--policy.down_dims=[64,128]", "--policy.noise_scheduler_type=DDIM",
     "--policy.num_inference_steps=20", f"--policy.normalization_mapping={MAPPING}",
 )  # fmt: skip
-ENTRIES = (
-    Entry("ACT", "ACT", _ACT, 4000),
-    Entry("Diffusion", "Diffusion (DDIM)", _DIFFUSION, 5000),
-    Entry("A_independent", "ours, A: nothing shared", ("--config_path=configs/v2/A_independent.yaml",), 5000, True),
-    Entry(
-        "H_episode_token_uniform",
-        "ours, H: episode token",
-        ("--config_path=configs/v2/H_episode_token_uniform.yaml",),
-        5000,
-        True,
-    ),
-)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One environment of the benchmark.
+
+    Attributes:
+        name: Its short name, that of its configurations and results.
+        view: From where the figure shows it.
+        axes: Dimensions of a position that the figure shows to the right and upwards.
+        labels: What they are called there.
+        picture: The figure's file in docs/images.
+    """
+
+    name: str
+    view: str
+    axes: tuple[int, int]
+    labels: tuple[str, str]
+    picture: str
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Its policies."""
+        ours = {"A_independent": "ours, A: nothing shared", "H_episode_token_uniform": "ours, H: episode token"}
+        return (
+            Entry("ACT", "ACT", _ACT, 4000),
+            Entry("Diffusion", "Diffusion (DDIM)", _DIFFUSION, 5000),
+            *(
+                Entry(name, title, (f"--config_path=configs/{self.name}/{name}.yaml",), 5000, True)
+                for name, title in ours.items()
+            ),
+        )
+
+
+TASKS = {
+    task.name: task
+    for task in (
+        Task("v2", "from above", (1, 0), ("y (m)", "x (m), towards the goal"), "multimodality.png"),
+        Task("v3", "along the way", (1, 2), ("y (m)", "z (m)"), "multimodality_v3.png"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much is done, and where it goes.
+
+    Attributes:
+        runs: Folder of the trained policies.
+        results: Folder of what `table` reads.
+        pairs: Pairs of draws per condition.
+        episodes: Closed-loop episodes per control.
+        steps: Training steps of every policy; None for each policy's own.
+    """
+
+    runs: Path
+    results: Path
+    pairs: int = 64
+    episodes: int = 50
+    steps: int | None = None
+
+    def steps_of(self, entry: Entry) -> int:
+        """Training steps of a policy."""
+        return self.steps or entry.steps
+
+    def checkpoint(self, entry: Entry) -> Path:
+        """The checkpoint of a policy's budget."""
+        return self.runs / entry.name / "checkpoints" / f"{self.steps_of(entry):06d}" / "pretrained_model"
 
 
 def command(name: str) -> str:
     return str(Path(sys.executable).with_name(name))
 
 
-def train(entry: Entry, data: Path, runs: Path) -> None:
+def train(entry: Entry, data: Path, budget: Budget) -> None:
     """Train one policy, unless its run is there."""
+    runs, steps = budget.runs, budget.steps_of(entry)
     output = runs / entry.name
     if output.exists():
         print(f"{output} is there: kept")
         return
     runs.mkdir(parents=True, exist_ok=True)
     common = [
-        f"--dataset.root={data / 'train'}", f"--output_dir={output}", f"--steps={entry.steps}", f"--seed={SEED}",
+        f"--dataset.root={data / 'train'}", f"--output_dir={output}", f"--steps={steps}", f"--seed={SEED}",
         f"--batch_size={BATCH}", "--policy.device=cpu", "--save_freq=1000",
     ]  # fmt: skip
     if entry.ours:
         subprocess.run([command("dualhead"), "train", *entry.flags, *common], check=True)
         return
     theirs = [
-        "--dataset.repo_id=local/v2", "--dataset.video_backend=pyav", "--policy.push_to_hub=false", "--num_workers=0",
-        "--env_eval_freq=0", f"--log_freq={LOG_FREQ}",
+        f"--dataset.repo_id=local/{data.name}", "--dataset.video_backend=pyav", "--policy.push_to_hub=false", "--num_workers=0",
+        "--env_eval_freq=0", f"--log_freq={min(LOG_FREQ, steps)}",
     ]  # fmt: skip
     script = str(Path(__file__).with_name("lerobot_train_in_memory.py"))
     with (runs / f"{entry.name}.log").open("w") as log:
         subprocess.run([sys.executable, script, *entry.flags, *common, *theirs], check=True, stdout=log, stderr=log)
 
 
-def write_training_log(entry: Entry, runs: Path) -> None:
+def write_training_log(entry: Entry, budget: Budget) -> None:
     """The losses that `lerobot-train` printed, where a gate file's provenance looks for them."""
-    target, printed = runs / entry.name / "training_log.jsonl", runs / f"{entry.name}.log"
+    target, printed = budget.runs / entry.name / "training_log.jsonl", budget.runs / f"{entry.name}.log"
+    every = min(LOG_FREQ, budget.steps_of(entry))
     if entry.ours or target.exists():
         return
     losses = re.findall(r"step:\S+ .*? loss:(\S+)", printed.read_text())
-    lines = [json.dumps({"step": (i + 1) * LOG_FREQ, "loss": float(loss)}) for i, loss in enumerate(losses)]
+    lines = [json.dumps({"step": (i + 1) * every, "loss": float(loss)}) for i, loss in enumerate(losses)]
     target.write_text("\n".join(lines) + "\n")
 
 
-def checkpoint(entry: Entry, runs: Path) -> Path:
-    """The checkpoint of the entry's budget."""
-    return runs / entry.name / "checkpoints" / f"{entry.steps:06d}" / "pretrained_model"
-
-
-def evaluate(entry: Entry, data: Path, runs: Path) -> None:
+def evaluate(entry: Entry, data: Path, budget: Budget) -> None:
     """Draws under the test conditions, closed-loop episodes and costs of one policy; what is there is kept."""
-    write_training_log(entry, runs)
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    policy = ["--policy", str(checkpoint(entry, runs)), "--dataset", str(data / "test")]
-    gate = RESULTS / f"{entry.name}.gate.json"
+    write_training_log(entry, budget)
+    results = budget.results
+    results.mkdir(parents=True, exist_ok=True)
+    policy = ["--policy", str(budget.checkpoint(entry)), "--dataset", str(data / "test")]
+    gate = results / f"{entry.name}.gate.json"
     if not gate.exists():
-        drawn = ["--draws", "position", "--pairs", str(PAIRS), "--label", entry.name, "--output", str(gate)]
+        drawn = ["--draws", "position", "--pairs", str(budget.pairs), "--label", entry.name, "--output", str(gate)]
         subprocess.run([command("dualhead"), "evaluate", *policy, *drawn], check=True)
     for control in ("position", "joint"):
-        outcomes = RESULTS / f"{entry.name}-{control}.rollouts.json"
+        outcomes = results / f"{entry.name}-{control}.rollouts.json"
         if outcomes.exists():
             continue
-        record = runs / f"{entry.name}-{control}"
-        loop = ["--record", str(record), "--control", control, "--episodes", str(EPISODES), "--samples", "2"]
+        record = budget.runs / f"{entry.name}-{control}"
+        loop = ["--record", str(record), "--control", control, "--episodes", str(budget.episodes), "--samples", "2"]
         subprocess.run(
             [command("dualhead"), "evaluate", *policy, *loop, "--output", str(record) + ".gate.json"], check=True
         )
         shutil.copy(record / "meta" / "dualhead.json", outcomes)
-    costs = RESULTS / f"{entry.name}.costs.json"
+    costs = results / f"{entry.name}.costs.json"
     if not costs.exists():
-        costs.write_text(json.dumps(measured_costs(entry, data, runs), indent=2) + "\n")
+        costs.write_text(json.dumps(measured_costs(entry, data, budget), indent=2) + "\n")
 
 
-def measured_costs(entry: Entry, data: Path, runs: Path) -> dict[str, Any]:
+def measured_costs(entry: Entry, data: Path, budget: Budget) -> dict[str, Any]:
     """Parameters, and processor milliseconds of a training step and of a decision, on one thread."""
     import torch
 
@@ -151,7 +206,7 @@ def measured_costs(entry: Entry, data: Path, runs: Path) -> dict[str, Any]:
     from dualhead_eval.evaluation.draws import HeadPaths, open_paths
 
     torch.set_num_threads(1)
-    source: Any = open_paths(checkpoint(entry, runs), "position")
+    source: Any = open_paths(budget.checkpoint(entry), "position")
     one = open_conditions(data / "test", 1)
     decision = _milliseconds(lambda: source.paths(one, 1, source.default_nfe, 0), 20)
     policy = source.sampler.sampler if isinstance(source, HeadPaths) else source.policy.policy
@@ -207,8 +262,8 @@ def word(valid: float, share: float) -> str:
     return "keeps both" if share >= 0.5 else "keeps one" if not share >= ORIGIN_CAPACITY else "in between"
 
 
-def table() -> str:
-    """The table in Markdown, from results/multimodality alone."""
+def table(task: Task, results: Path) -> str:
+    """The table in Markdown, from a folder of results alone."""
     from dualhead_eval.evaluation.rollouts import read_closed_loop
     from dualhead_eval.gate.file import read_gate
     from dualhead_eval.statistics.run_summary import summarise_run
@@ -217,8 +272,8 @@ def table() -> str:
     head = ["policy", "parameters", "steps", "loss", "valid [95 %]", "C / max C [95 %]", "TV to data"]
     head += ["success, position", "success, joint", "CPU ms: step", "decision", "it"]
     rows = [head, ["---"] * len(head)]
-    for entry in ENTRIES:
-        file = RESULTS / f"{entry.name}.gate.json"
+    for entry in task.entries:
+        file = results / f"{entry.name}.gate.json"
         if not file.exists():
             continue
         gate = read_gate(file)
@@ -230,14 +285,14 @@ def table() -> str:
         valid = run.intervals["valid_rate"]
         loops = []
         for control in ("position", "joint"):
-            outcomes = RESULTS / f"{entry.name}-{control}.rollouts.json"
+            outcomes = results / f"{entry.name}-{control}.rollouts.json"
             if not outcomes.exists():
                 loops.append("not run")
                 continue
             loop = read_closed_loop(outcomes)[1]
             low, high = loop.success_interval.low, loop.success_interval.high
             loops.append(f"{loop.successes} of {loop.episodes} [{low:.0%}, {high:.0%}]")
-        costs = json.loads((RESULTS / f"{entry.name}.costs.json").read_text())
+        costs = json.loads((results / f"{entry.name}.costs.json").read_text())
         rows.append(
             [
                 entry.title, f"{costs['parameters'] / 1e6:.2f} M", f"{record.steps:,}", record.loss,
@@ -250,8 +305,8 @@ def table() -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
-def figure(data: Path, runs: Path, condition: int) -> None:
-    """Draws of every policy under one test condition, seen from above, beside the demonstrations."""
+def figure(task: Task, data: Path, budget: Budget, condition: int, picture: Path) -> None:
+    """Draws of every policy under one test condition, beside the demonstrations."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
@@ -264,54 +319,64 @@ def figure(data: Path, runs: Path, condition: int) -> None:
     windows = frames.mode_windows(bank.horizon)
     assert windows is not None
     shown: list[tuple[str, np.ndarray]] = [("demonstrations", windows[condition])]
-    for entry in ENTRIES:
-        if (RESULTS / f"{entry.name}.gate.json").exists():
-            source = open_paths(checkpoint(entry, runs), "position")
-            title = f"{entry.title}\n{entry.steps:,} steps"
+    for entry in task.entries:
+        if (budget.results / f"{entry.name}.gate.json").exists():
+            source = open_paths(budget.checkpoint(entry), "position")
+            title = f"{entry.title}\n{budget.steps_of(entry):,} steps"
             shown.append((title, source.paths(one, 48, source.default_nfe, SEED)[0]))
     page = Figure(figsize=(2.3 * len(shown), 2.4), layout="constrained")
     axes = page.subplots(1, len(shown), sharex=True, sharey=True)
     names = [name.rpartition(".")[0] for name in ("obstacle.center.x", "obstacle.half_size.x")]
     state = dict(zip(frames.info["features"]["observation.environment_state"]["names"], one.state[0], strict=True))
-    center, half = ([float(state[f"{name}.{axis}"]) for axis in "xy"] for name in names)
+    right, up = task.axes
+    center, half = (np.array([float(state[f"{name}.{axis}"]) for axis in "xyz"]) for name in names)
     colours = np.array(["#999999", "#0072b2", "#d55e00"])
     for axis, (title, paths) in zip(axes, shown, strict=True):
         label = bank.partition.score(paths, one.state)[0]
         strength = bank.partition.score(paths, one.state)[1]
         label = np.where(strength >= bank.partition.tau, label, -1)
-        corner = (center[1] - half[1], center[0] - half[0])
-        axis.add_patch(Rectangle(corner, 2 * half[1], 2 * half[0], color="#444444"))
+        corner = center - half
+        axis.add_patch(Rectangle((corner[right], corner[up]), 2 * half[right], 2 * half[up], color="#444444"))
         for path, mode in zip(paths, label, strict=True):
-            axis.plot(path[:, 1], path[:, 0], color=colours[mode + 1], linewidth=0.8, alpha=0.7)
+            axis.plot(path[:, right], path[:, up], color=colours[mode + 1], linewidth=0.8, alpha=0.7)
         axis.set_title(f"{title}\nvalid {(label >= 0).mean():.0%}", fontsize=8)
         axis.set_aspect("equal")
         axis.tick_params(labelsize=7)
-        axis.set_xlabel("y (m)", fontsize=8)
-    axes[0].set_ylabel("x (m), towards the goal", fontsize=8)
+        axis.set_xlabel(task.labels[0], fontsize=8)
+    axes[0].set_ylabel(task.labels[1], fontsize=8)
     page.suptitle(
-        "16 predicted steps from one branch point, from above; blue and orange: the two modes, grey: neither",
+        f"16 predicted steps from one branch point, {task.view}; blue and orange: the two modes, grey: neither",
         fontsize=9,
     )
-    page.savefig(FIGURE, dpi=150)
-    print(FIGURE)
+    page.savefig(picture, dpi=150)
+    print(picture)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("stage", choices=["train", "evaluate", "table", "figure"])
-    parser.add_argument("--data", type=Path, default=Path("data/v2"), help="recorded by `dualhead record --env v2`")
-    parser.add_argument("--runs", type=Path, default=Path("outputs/multimodality"))
-    parser.add_argument("--only", nargs="+", choices=[entry.name for entry in ENTRIES], help="some of the policies")
+    parser.add_argument("--env", choices=list(TASKS), default="v2", help="the environment (default: v2)")
+    parser.add_argument("--data", type=Path, help="recorded by `dualhead record` (default: data/ENV)")
+    parser.add_argument("--runs", type=Path, help="folder of the policies (default: outputs/multimodality/ENV)")
+    parser.add_argument(
+        "--only", nargs="+", choices=[entry.name for entry in TASKS["v2"].entries], help="some policies"
+    )
     parser.add_argument("--condition", type=int, default=0, help="of the figure (default: the first)")
+    parser.add_argument("--smoke", action="store_true", help="20 steps, 8 pairs and 2 episodes, results in RUNS")
     args = parser.parse_args()
+    task = TASKS[args.env]
+    data, runs = args.data or Path("data", task.name), args.runs or Path("outputs", "multimodality", task.name)
+    budget, picture = Budget(runs, RESULTS / task.name), IMAGES / task.picture
+    if args.smoke:
+        budget, picture = Budget(runs, runs / "results", pairs=8, episodes=2, steps=20), runs / task.picture
     if args.stage == "table":
-        print(table())
+        print(table(task, budget.results))
     elif args.stage == "figure":
-        figure(args.data, args.runs, args.condition)
+        figure(task, data, budget, args.condition, picture)
     else:
-        for entry in ENTRIES:
+        for entry in task.entries:
             if args.only is None or entry.name in args.only:
-                (train if args.stage == "train" else evaluate)(entry, args.data, args.runs)
+                (train if args.stage == "train" else evaluate)(entry, data, budget)
 
 
 if __name__ == "__main__":
