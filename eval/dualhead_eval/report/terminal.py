@@ -12,8 +12,8 @@ from rich.text import Text
 
 from dualhead_eval.report.table import Cell, Table, printable
 
-#: Words up to this length are kept whole where there is room; labels of runs are longer.
-_WHOLE_WORDS = (15, 8)
+#: Words up to the first of these lengths for which there is room are kept whole; labels of runs are longer.
+_WHOLE_WORDS = (20, 15, 8)
 #: Lines longer than this are broken, so that a column of sentences leaves room to the others.
 _LONGEST_LINE = 60
 #: Blanks that each column takes beside its cells.
