@@ -154,8 +154,8 @@ def train(entry: Entry, data: Path, budget: Budget) -> None:
         subprocess.run([command("dualhead"), "train", *entry.flags, *common], check=True)
         return
     theirs = [
-        f"--dataset.repo_id=local/{data.name}", "--dataset.video_backend=pyav", "--policy.push_to_hub=false", "--num_workers=0",
-        "--env_eval_freq=0", f"--log_freq={min(LOG_FREQ, steps)}",
+        f"--dataset.repo_id=local/{data.name}", "--dataset.video_backend=pyav", "--policy.push_to_hub=false",
+        "--num_workers=0", "--env_eval_freq=0", f"--log_freq={min(LOG_FREQ, steps)}",
     ]  # fmt: skip
     script = str(Path(__file__).with_name("lerobot_train_in_memory.py"))
     with (runs / f"{entry.name}.log").open("w") as log:

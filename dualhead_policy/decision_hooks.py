@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, Protocol
+from weakref import WeakSet
 
 import torch
 from torch import Tensor
@@ -31,6 +32,17 @@ class DecisionHook(Protocol):
         """
 
 
+class DecisionListener(Protocol):
+    """What listens to every policy of its process, as a processor step does: LeRobot makes it without its policy."""
+
+    def decided(self, policy: Any, batch: Mapping[str, Tensor]) -> None:
+        """A policy decides under preprocessed observations of B rows; its own random numbers are to be left alone."""
+
+
+#: Listeners of this process, for as long as somebody holds them.
+LISTENERS: WeakSet[DecisionListener] = WeakSet()
+
+
 class DecisionHooks(list[DecisionHook]):
     """The hooks of one policy.
 
@@ -45,7 +57,9 @@ class DecisionHooks(list[DecisionHook]):
             hook.reset()
 
     def show(self, policy: Any, batch: Mapping[str, Tensor], executed: HeadSamples) -> None:
-        """Show a decision to every hook, ``policy.monitor_samples`` pairs of it."""
+        """Show a decision to every hook, ``policy.monitor_samples`` pairs of it, and to every listener."""
+        for listener in list(LISTENERS):
+            listener.decided(policy, batch)
         if not self:
             return
         samples = executed

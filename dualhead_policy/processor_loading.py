@@ -8,24 +8,31 @@ registry name, each with the arguments that it knows, and states from files of t
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.policies import make_pre_post_processors
+from lerobot.processor import ProcessorStepRegistry
+from lerobot.utils.import_utils import register_third_party_plugins
 from pydantic import Field
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
 from dualhead_envs.dataset_sidecar import Count
-from dualhead_envs.validated_json import Label, Schema, read_json, read_validated, validated
+from dualhead_envs.validated_json import Label, Schema, read_json, validated
 from dualhead_policy.configuration_dualhead import DualheadConfig
+from dualhead_policy.disagreement_step import REGISTRY_NAME as DISAGREEMENT_NAME
 from dualhead_policy.hub_folder import file_inside
 from dualhead_policy.kinematics.robot_file import FILE_SCHEME
 from dualhead_policy.processor_dualhead import Processors
 
 PREPROCESSOR_FILE, POSTPROCESSOR_FILE = "policy_preprocessor.json", "policy_postprocessor.json"
+#: Registry name of the step that counts a policy's decisions; :mod:`lerobot_policy_dualhead` brings it to LeRobot.
+CERTIFICATE_NAME = "coordination_certificate"
+#: Registry names of steps that watch, which a policy may have or lack.
+ATTACHED = (CERTIFICATE_NAME, DISAGREEMENT_NAME)
 REMEDY = "load the folder that the policy was saved to"
 
 
@@ -89,11 +96,37 @@ class Disagreement(Schema):
     config: DisagreementOptions
 
 
+class CertificateOptions(Schema):
+    """What the step's constructor takes of a policy's folder; it checks partition, environment and state itself."""
+
+    n_modes: Annotated[int, Field(ge=2, le=1000)] | None = None
+    partition: dict[Label, Any] | None = None
+    first: Label = "first"
+    second: Label = "second"
+    alpha: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    state: dict[Label, Any] | None = None
+    environment: dict[Label, Any] | None = None
+    draws: Annotated[int, Field(ge=2, le=1000)]
+    seed: Count = 0
+
+
+class Certificate(Schema):
+    registry_name: Literal["coordination_certificate"]
+    config: CertificateOptions
+
+
 class Preprocessor(Schema):
     """``policy_preprocessor.json``."""
 
     name: Literal["policy_preprocessor"]
     steps: tuple[Rename, ToBatch, ToDevice, Normalize]
+
+
+class CertifiedPreprocessor(Schema):
+    """``policy_preprocessor.json`` with a certificate of the policy's decisions, under raw observations."""
+
+    name: Literal["policy_preprocessor"]
+    steps: tuple[Rename, ToBatch, ToDevice, Certificate, Normalize]
 
 
 class Postprocessor(Schema):
@@ -121,9 +154,7 @@ def load_processors(folder: Path, config: DualheadConfig) -> Processors:
         FileNotFoundError: If a file is missing.
         ValueError: If a file names another step, has other options, or holds statistics that do not fit.
     """
-    pre = read_validated(
-        file_inside(folder, PREPROCESSOR_FILE), Preprocessor, kind="a dual-head policy's preprocessor", remedy=REMEDY
-    )
+    pre = _read_preprocessor(file_inside(folder, PREPROCESSOR_FILE))
     post = _read_postprocessor(file_inside(folder, POSTPROCESSOR_FILE), config)
     for file, step in ((PREPROCESSOR_FILE, pre.steps[-1]), (POSTPROCESSOR_FILE, post.steps[0])):
         own = {FeatureType(key): mode for key, mode in config.normalization_mapping.items()}
@@ -137,6 +168,21 @@ def load_processors(folder: Path, config: DualheadConfig) -> Processors:
         pretrained_path=str(folder),
         preprocessor_overrides={"device_processor": {"device": config.device}},
     )
+
+
+def _read_preprocessor(path: Path) -> Preprocessor | CertifiedPreprocessor:
+    document = read_json(path, kind="a dual-head policy's preprocessor", remedy=REMEDY)
+    steps = document.get("steps") if isinstance(document, dict) else None
+    if not isinstance(steps, list) or len(steps) != 5:
+        return validated(document, Preprocessor, source=str(path), remedy=REMEDY)
+    pre = validated(document, CertifiedPreprocessor, source=str(path), remedy=REMEDY)
+    if CERTIFICATE_NAME not in ProcessorStepRegistry.list():
+        register_third_party_plugins()
+    try:
+        ProcessorStepRegistry.get(CERTIFICATE_NAME)(**pre.steps[3].config.model_dump())
+    except ValueError as error:
+        raise ValueError(f"{path} has a certificate that is none ({error}): {REMEDY}") from error
+    return pre
 
 
 def _read_postprocessor(path: Path, config: DualheadConfig) -> Postprocessor | WatchedPostprocessor:

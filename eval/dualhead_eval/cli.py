@@ -20,6 +20,7 @@ COMMANDS = {
     "ensemble": ("dualhead_eval.commands.ensemble", "split what an ensemble's members disagree about by their modes"),
     "report": ("dualhead_eval.commands.report", "turn gate files into tables, figures and verdicts"),
     "monitor": ("dualhead_eval.commands.monitor", "fit failure monitors on rollouts, score and report them"),
+    "certify": ("dualhead_eval.commands.certify", "let LeRobot's rollouts of a policy come to a coordination verdict"),
     "info": ("dualhead_eval.commands.info", "print versions, environments and registered types"),
     "demo": ("dualhead_eval.commands.demo", "the whole pipeline in minutes: record, train, evaluate, report"),
 }

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import shutil
 from pathlib import Path
 
 DESCRIPTION = """\
@@ -35,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: If the monitor or the policy does not exist.
         ValueError: If the monitor is of another kind, or of another robot than the policy.
     """
-    from dualhead_envs.recording.staging import publish, staging_folder
+    from dualhead_eval.commands.attached_policy import write_with_step
     from dualhead_eval.monitor.aggregation import EWMA_WEIGHT
     from dualhead_eval.monitor.monitor_file import load_monitor
     from dualhead_eval.monitor.signals.residual import ExecutedResidual
@@ -85,14 +83,6 @@ def run(args: argparse.Namespace) -> int:
             "limit_mm": threshold.limit,
         },
     }
-    with staging_folder(args.output.resolve()) as staging:
-        made = staging / "policy"
-        shutil.copytree(source, made)
-        path = made / POSTPROCESSOR_FILE
-        content = json.loads(path.read_text(encoding="utf-8"))
-        content["steps"] = [content["steps"][0], step, content["steps"][-1]]
-        path.write_text(json.dumps(content, indent=2), encoding="utf-8")
-        load_policy(made)  # what is published can be loaded
-        publish(made, args.output.resolve())
+    write_with_step(source, args.output, POSTPROCESSOR_FILE, step, place=1)
     print(f"policy: {args.output}, an alarm above {threshold.limit:.1f} mm ({threshold.guarantee})")
     return 0
