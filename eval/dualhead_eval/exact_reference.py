@@ -12,7 +12,7 @@ an approximation and says so. There is no reference for k-means tokens.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -45,7 +45,7 @@ class ExactReference:
         source_noise_beta: Coupling of the heads' source noise when the caller does not choose one.
         token: None, or ``"oracle"``.
         token_replacement_prob: Probability of a uniformly random token during (hypothetical) training.
-        token_draw: ``"uniform"`` or ``"marginal"`` draw of tokens at sampling.
+        token_draw: ``"uniform"`` or ``"marginal"`` draw of tokens at sampling, or the probability of each token.
 
     Raises:
         ValueError: If an argument is outside its range, or the token has no reference.
@@ -62,7 +62,7 @@ class ExactReference:
         source_noise_beta: float = 1.0,
         token: str | None = None,
         token_replacement_prob: float = 0.0,
-        token_draw: str = "uniform",
+        token_draw: str | Sequence[float] = "uniform",
     ):
         if representation not in REPRESENTATION_MAPS:
             raise ValueError(
@@ -78,6 +78,12 @@ class ExactReference:
                 f"token_replacement_prob={token_replacement_prob} and source_noise_beta={source_noise_beta} must "
                 "lie in [0, 1]"
             )
+        if not isinstance(token_draw, str):
+            weights = np.asarray(token_draw, dtype=np.float64)
+            if weights.shape != (n_modes,) or not (weights >= 0).all() or abs(weights.sum() - 1) > 1e-6:
+                raise ValueError(
+                    f"token_draw={token_draw!r} should be {n_modes} non-negative numbers that sum to 1, one per token"
+                )
         self.generator = RingGenerator(n_modes, mode_probabilities, mode_angles, path_spread)
         self.map = REPRESENTATION_MAPS[representation]
         self.exact = isinstance(self.map, LinearMap)
@@ -103,7 +109,7 @@ class ExactReference:
             "source_noise_beta": self.source_noise_beta,
             "token": self.token,
             "token_replacement_prob": self.token_replacement_prob,
-            "token_draw": self.token_draw,
+            "token_draw": self.token_draw if isinstance(self.token_draw, str) else list(self.token_draw),
         }
 
     @torch.no_grad()
@@ -148,21 +154,26 @@ class ExactReference:
         weights = torch.ones(self.generator.n_modes)
         if self.token_draw == "marginal":
             weights = torch.tensor(self.generator.probabilities, dtype=torch.float32)
+        elif not isinstance(self.token_draw, str):
+            weights = torch.tensor(self.token_draw, dtype=torch.float32)
         count = leading[0] * leading[1]
         return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(leading)
 
-    def _log_prior(self, token: Tensor | None) -> Tensor:
-        """log P(mode | token): (K,) without a token, (B, N, K) with one.
+    def mode_given_token(self) -> Tensor:
+        """P(mode | token) (K, K), a row per token.
 
         With replacement probability p, P(k | z) is proportional to pi_k ((1 - p) [k = z] + p / K).
         """
+        k, p = self.generator.n_modes, self.token_replacement_prob
         prior = torch.tensor(self.generator.probabilities, dtype=torch.float32)
-        if token is None:
-            return prior.log()
-        k = self.generator.n_modes
-        p = self.token_replacement_prob
         table = prior * ((1 - p) * torch.eye(k) + p / k)
-        return (table / table.sum(1, keepdim=True)).log()[token]
+        return table / table.sum(1, keepdim=True)
+
+    def _log_prior(self, token: Tensor | None) -> Tensor:
+        """log P(mode | token): (K,) without a token, (B, N, K) with one."""
+        if token is None:
+            return torch.tensor(self.generator.probabilities, dtype=torch.float32).log()
+        return self.mode_given_token().log()[token]
 
     def _integrate_linear(
         self, noise: Tensor, target: Tensor, matrix: Tensor, log_prior: Tensor, num_steps: int
@@ -198,7 +209,11 @@ class ExactReference:
             mean = torch.einsum("bnk,bkd->bnd", weight, means)
             return mean + (time * along_variance - (1 - time)) / variance * (x - time * mean)
 
-        along = integrate_euler(velocity, along, num_steps)
+        certain = (log_prior == 0).nonzero()
+        if log_prior.ndim == 1 and len(certain):  # one Gaussian: Euler's steps are a factor about its mean
+            along = means[:, certain[0]] + along * _shrinkage(along_variance, num_steps)
+        else:
+            along = integrate_euler(velocity, along, num_steps)
         across = across * _shrinkage(point, num_steps)
         outside = outside * _shrinkage(0.0, num_steps)
         position = unit[:, None] * along[..., None, :] + across

@@ -76,6 +76,28 @@ def test_with_many_steps_the_samples_have_the_target_moments():
     assert envelope()[0] == 0
 
 
+def test_a_certain_mode_is_sampled_as_one_that_is_almost_certain():
+    """Without a choice of modes Euler's steps have a closed form, which is used."""
+    samples = [
+        ExactReference(2, "nullspace", mode_probabilities=prior).sample(
+            batch(CONDITIONS[:5]), 4, generator=keyed_generator(3)
+        )
+        for prior in ([1.0, 0.0], [1.0 - 1e-9, 1e-9])
+    ]
+    for head in ("joint", "position"):
+        difference = getattr(samples[0], head) - getattr(samples[1], head)
+        assert difference.abs().max() < 1e-4
+
+
+def test_tokens_are_drawn_with_the_probabilities_given():
+    reference = ExactReference(2, "nullspace", token="oracle", token_draw=[0.9, 0.1])
+    token = reference.sample(batch(CONDITIONS), 100, generator=keyed_generator(4)).token
+    assert token is not None
+    assert abs(token.double().mean() - 0.1) < 5 * (0.09 / token.numel()) ** 0.5
+    assert reference.describe()["token_draw"] == [0.9, 0.1]
+    assert torch.allclose(reference.mode_given_token(), torch.eye(2))
+
+
 def test_polar_moments_match_a_larger_independent_sample():
     radii, means, covariances = _moment_table("polar", 0.08)
     generator = RingGenerator(2)
@@ -141,6 +163,7 @@ def test_redrawn_tokens_return_to_the_floor():
         ({"representation": "polar", "token": "window"}, "has no exact reference"),
         ({"representation": "polar", "token_replacement_prob": 2}, "must lie in"),
         ({"representation": "polar", "mode_probabilities": [0.5, 0.6]}, "sum to 1"),
+        ({"representation": "polar", "token": "oracle", "token_draw": [0.5, 0.6]}, "sum to 1, one per token"),
     ],
 )
 def test_what_has_no_reference_is_refused(arguments, sentence):
