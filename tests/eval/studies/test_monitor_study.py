@@ -308,16 +308,16 @@ def test_the_kept_results_give_what_is_published(protocol):
     study.claim_folder()
     found = conclude(study.log(), study.scored(), protocol, study.budget.seeds)
     verdicts = {verdict.name: verdict for verdict in found.verdicts["I"]}
-    assert verdicts["P1"].value == pytest.approx(-0.242, abs=5e-4)
-    assert verdicts["P2"].value == pytest.approx(0.020, abs=5e-4)
-    assert verdicts["S1"].value == pytest.approx(0.035, abs=5e-4)
-    assert verdicts["S2"].value == pytest.approx(-0.006, abs=5e-4)
-    assert verdicts["S4"].value == pytest.approx(-0.292, abs=5e-4)
-    assert found.regimes["A"].capacity == pytest.approx(0.296, abs=5e-4)
-    assert found.regimes["I"].obedience == pytest.approx(0.966, abs=5e-4)
+    assert verdicts["P1"].value == pytest.approx(-0.237, abs=5e-4)
+    assert verdicts["P2"].value == pytest.approx(0.006, abs=5e-4)
+    assert verdicts["S1"].value == pytest.approx(0.011, abs=5e-4)
+    assert verdicts["S2"].value == pytest.approx(-0.011, abs=5e-4)
+    assert verdicts["S4"].value == pytest.approx(-0.279, abs=5e-4)
+    assert found.regimes["A"].capacity == pytest.approx(0.295, abs=5e-4)
+    assert found.regimes["I"].obedience == pytest.approx(0.971, abs=5e-4)
     seeds = {arm: len(own) for arm, own in found.seeds.items()}
     text = (root / "docs" / "monitor.md").read_text()
-    assert ("one of six seeds" in text) == (seeds == {"A": 1, "I": 1})
+    assert ("six seeds of A and I" in text) == (seeds == {"A": 6, "I": 6})
 
 
 def test_no_seed_of_the_log_is_used_twice(protocol):
