@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dualhead_eval.commands import monitor_attach, monitor_regimes, monitor_study
+from dualhead_eval.commands import monitor_attach, monitor_converse, monitor_regimes, monitor_study
 
 if TYPE_CHECKING:
     from dualhead_eval.monitor.decision import Episode
@@ -22,8 +22,9 @@ Runtime failure monitors on recorded rollouts of a two-head policy.
   dualhead monitor report run.scores.parquet --output report.html
 
 With --policy, fit and score put another policy's predictions on the recorded observations, so that one recording
-serves every monitored policy. `dualhead monitor study` runs the registered experiment, `dualhead monitor regimes` its
-sweep of regimes on the ring. Signals, thresholds and measures: docs/monitor.md.
+serves every monitored policy. `dualhead monitor study` runs the registered experiment, `dualhead monitor converse` its
+converse, `dualhead monitor regimes` its sweep of regimes on the ring. Signals, thresholds and measures:
+docs/monitor.md.
 """
 
 
@@ -36,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     report = actions.add_parser("report", help="what the scores detect, as tables")
     monitor_attach.add_arguments(actions.add_parser("attach", help="let unmodified LeRobot raise a monitor's alarms"))
     monitor_study.add_arguments(actions.add_parser("study", help="the registered experiment, start to verdict"))
+    monitor_converse.add_arguments(
+        actions.add_parser("converse", help="two ways that are hardly apart must cost no false alarms")
+    )
     monitor_regimes.add_arguments(actions.add_parser("regimes", help="false alarms over regimes, on the ring"))
     for action in (fit, score):
         action.add_argument("rollouts", nargs="+", type=Path, metavar="DIR", help="folders of recorded rollouts")
@@ -87,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
         "attach": monitor_attach.run,
         "study": monitor_study.run,
         "regimes": monitor_regimes.run,
+        "converse": monitor_converse.run,
     }[args.action](args)
 
 
