@@ -8,12 +8,14 @@ from typing import Any
 
 from lerobot.configs import FeatureType
 
+from dualhead_policy.sampling import TOKEN_DRAWS
+
 CHOICES = {
     "conditioning": ("film", "concat"),
     "preconditioning": ("auto", "linear_gaussian", "gaussian", "none"),
     "token": (None, "oracle", "episode", "window"),
     "token_positions": ("absolute", "displacement"),
-    "token_draw": ("uniform", "marginal", "learned"),
+    "token_draw": TOKEN_DRAWS,
     "latent": (None, "prior", "posterior"),
     "consistency_norm": ("normalized", "meters"),
     "rotation_noise": ("coupled", "private"),

@@ -34,6 +34,10 @@ class HeadSamples:
     diverged: Tensor | None = None
 
 
+#: Distributions of tokens in sampling.
+TOKEN_DRAWS = ("uniform", "marginal", "learned")
+
+
 @dataclass(frozen=True)
 class SamplingCoupling:
     """What the heads share while sampling; every field left at None means the policy's own choice.
@@ -43,6 +47,8 @@ class SamplingCoupling:
         source_noise: The noise itself by head (``"joint"``, ``"position"`` and, where there is one, ``"rotation"``),
             each (B, N, H, d); overrides beta. Passing one member's noise to another couples an ensemble.
         token: Tokens (B, N) to use instead of drawing them.
+        token_draw: Distribution of drawn tokens: ``"uniform"``, ``"marginal"`` or, for a policy that has one,
+            ``"learned"``. The prior sends the heads no gradient, so that this too is a question to the sampler alone.
         share_token: Whether the heads follow one token; False draws another one for every further head.
         latent: Latents (B, N, dim) to use instead of drawing them.
         share_latent: Whether the heads follow one latent; False draws another one for every further head.
@@ -51,6 +57,7 @@ class SamplingCoupling:
     source_noise_beta: float | None = None
     source_noise: Mapping[str, Tensor] | None = None
     token: Tensor | None = None
+    token_draw: str | None = None
     share_token: bool = True
     latent: Tensor | None = None
     share_latent: bool = True

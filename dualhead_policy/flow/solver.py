@@ -71,7 +71,7 @@ def _shared_draws(
     generator: torch.Generator | None,
 ) -> dict[str, SharedDraws]:
     def token() -> Tensor:
-        return model.draw_tokens(embedding, num_samples, generator)
+        return model.draw_tokens(embedding, num_samples, generator, coupling.token_draw)
 
     def latent() -> Tensor:
         assert model.shared_latent is not None

@@ -118,12 +118,24 @@ class DualheadModel(nn.Module):
             embedding = embedding[:, None].expand(-1, code.shape[1], -1)
         return torch.cat([embedding, code], dim=-1)
 
-    def draw_tokens(self, embedding: Tensor, num_samples: int, generator: torch.Generator | None) -> Tensor:
-        """Tokens (B, num_samples) given embeddings (B, E), as ``config.token_draw`` says."""
+    def draw_tokens(
+        self, embedding: Tensor, num_samples: int, generator: torch.Generator | None, draw: str | None = None
+    ) -> Tensor:
+        """Tokens (B, num_samples) given embeddings (B, E), as ``draw`` or else ``config.token_draw`` says.
+
+        Raises:
+            ValueError: If a prior is asked for that was not learned.
+        """
         assert self.tokens is not None
-        if self.token_prior is not None:
-            return self.token_prior.draw(embedding, num_samples, generator)
-        return self.tokens.draw((len(embedding), num_samples), self.config.token_draw, generator)
+        draw = draw or self.config.token_draw
+        if draw != "learned":
+            return self.tokens.draw((len(embedding), num_samples), draw, generator)
+        if self.token_prior is None:
+            raise ValueError(
+                "the policy has learned no prior of its tokens: draw them uniform or marginal, or train it with "
+                "--policy.token_draw=learned"
+            )
+        return self.token_prior.draw(embedding, num_samples, generator)
 
     def token_probabilities(self, embedding: Tensor) -> Tensor:
         """With which probabilities :meth:`draw_tokens` draws each token (B, n_tokens)."""

@@ -128,11 +128,12 @@ class ExactReference:
         condition = batch["observation.environment_state"].double().numpy()
         leading = (len(condition), num_samples)
         shape = (*leading, geometry.HORIZON)
+        draw = coupling.token_draw or self.token_draw
         source = resolve_source_noise(coupling, shape, self.head_dims, self.source_noise_beta, generator)
         shared = resolve_shared_draws(
             coupling,
             list(self.head_dims),
-            None if self.token is None else lambda: self._draw_tokens(leading, generator),
+            None if self.token is None else lambda: self._draw_tokens(leading, draw, generator),
             None,
         )
         target = torch.from_numpy(
@@ -150,12 +151,16 @@ class ExactReference:
                 heads[head] = self._integrate_linear(noise, target, matrix, log_prior, num_steps)
         return HeadSamples(heads["joint"], heads["position"], token=shared["joint"].token)
 
-    def _draw_tokens(self, leading: tuple[int, int], generator: torch.Generator | None) -> Tensor:
+    def _draw_tokens(
+        self, leading: tuple[int, int], draw: str | Sequence[float], generator: torch.Generator | None
+    ) -> Tensor:
         weights = torch.ones(self.generator.n_modes)
-        if self.token_draw == "marginal":
+        if draw == "learned":
+            raise ValueError("the exact reference learns no prior of its tokens: draw them uniform or marginal")
+        if draw == "marginal":
             weights = torch.tensor(self.generator.probabilities, dtype=torch.float32)
-        elif not isinstance(self.token_draw, str):
-            weights = torch.tensor(self.token_draw, dtype=torch.float32)
+        elif not isinstance(draw, str):
+            weights = torch.tensor(draw, dtype=torch.float32)
         count = leading[0] * leading[1]
         return torch.multinomial(weights, count, replacement=True, generator=generator).reshape(leading)
 

@@ -156,6 +156,17 @@ def test_redrawn_tokens_return_to_the_floor():
     assert abs(run.rho) < 0.02
 
 
+def test_the_caller_draws_the_tokens_otherwise():
+    skewed = ExactReference(2, "nullspace", token="oracle", mode_probabilities=[0.9, 0.1])
+    shares = []
+    for draw in (None, "marginal"):
+        counts = table(skewed, token_draw=draw).sum(axis=0)
+        shares.append(counts[0, :2].sum() / counts[:2, :2].sum())
+    assert shares == pytest.approx([0.5, 0.9], abs=0.02)
+    with pytest.raises(ValueError, match="learns no prior"):
+        table(skewed, token_draw="learned")
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -66,6 +66,34 @@ def test_the_caller_chooses_noise_and_tokens(policy_and_batch):
     assert not torch.equal(redrawn.position, same[0].position)
 
 
+def test_a_learned_prior_is_the_samplers_alone(ring_data, policy_and_batch):
+    """What the token's prior learned decides which tokens are drawn, and nothing of what the heads make of them."""
+    policy = new_policy(ring_data / "train", token="oracle", token_draw="learned")
+    with torch.no_grad():
+        policy.model.token_prior.layers[-1].bias += torch.tensor([50.0, 0.0])
+    batch = policy_and_batch[1]
+    drawn = {
+        draw: policy.sample(batch, 40, coupling=SamplingCoupling(token_draw=draw), generator=keyed_generator(1))
+        for draw in (None, "learned", "uniform", "marginal")
+    }
+    assert torch.equal(drawn[None].token, drawn["learned"].token)
+    assert not drawn["learned"].token.any()
+    for draw in ("uniform", "marginal"):
+        assert drawn[draw].token.float().mean() == pytest.approx(0.5, abs=0.1)
+    following = SamplingCoupling(token=drawn["uniform"].token)
+    assert torch.equal(
+        policy.sample(batch, 40, coupling=following, generator=keyed_generator(1)).joint, drawn["uniform"].joint
+    )
+
+
+def test_a_draw_that_a_policy_does_not_have_is_refused(ring_data, policy_and_batch):
+    cases = (({"token": "oracle"}, "learned", "has learned no prior"), ({}, "uniform", "has no token to draw"))
+    for fields, draw, sentence in cases:
+        policy = new_policy(ring_data / "train", **fields)
+        with pytest.raises(ValueError, match=sentence):
+            policy.sample(policy_and_batch[1], 2, coupling=SamplingCoupling(token_draw=draw))
+
+
 def test_sampling_many_conditions_together_equals_sampling_each_alone(policy_and_batch):
     """Grouping for speed must not change a sample: the simple loop is the oracle."""
     policy, batch = policy_and_batch

@@ -36,6 +36,7 @@ SERVES = {
     "path_names": ("policy", "pair"),
     "source_noise_beta": ("policy", "exact"),
     "redraw_token": ("policy", "exact"),
+    "token_draw": ("policy", "exact"),
     "update_card": ("policy",),
     "seed": ("policy", "pair", "exact", "record"),
     "episodes": ("record",),
@@ -146,6 +147,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shared = parser.add_argument_group("what the heads share (default: as the policy was trained)")
     shared.add_argument("--source-noise-beta", type=float, metavar="B", help="1 private noise, 0 shared noise")
     shared.add_argument("--redraw-token", action="store_true", help="give each head a token of its own")
+    shared.add_argument(
+        "--token-draw", choices=["uniform", "marginal", "learned"], help="how the heads' token is drawn"
+    )
     exact = parser.add_argument_group("with --exact")
     exact.add_argument("--token", choices=["oracle"], help="condition both heads on the oracle token")
     exact.add_argument("--token-replacement-prob", type=float, metavar="P")
@@ -253,7 +257,9 @@ def _protocol(args: argparse.Namespace) -> EvaluationProtocol:
     return EvaluationProtocol(
         **_given(args, pairs="pairs", nfes="nfe", seed="seed"),
         taus=args.tau,
-        coupling=SamplingCoupling(source_noise_beta=args.source_noise_beta, share_token=not args.redraw_token),
+        coupling=SamplingCoupling(
+            source_noise_beta=args.source_noise_beta, token_draw=args.token_draw, share_token=not args.redraw_token
+        ),
     )
 
 

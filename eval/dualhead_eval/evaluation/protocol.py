@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dualhead_policy.sampling import SamplingCoupling
+from dualhead_policy.sampling import TOKEN_DRAWS, SamplingCoupling
 
 #: The frozen protocol (sec:gate): 64 samples in each of 20 draws per condition, 20 Euler steps.
 FROZEN_PAIRS = 64 * 20
@@ -53,6 +53,10 @@ class EvaluationProtocol:
         beta = self.coupling.source_noise_beta
         if beta is not None and not 0 <= beta <= 1:
             raise ValueError(f"source_noise_beta={beta} is outside [0, 1]: give 1 (private) to 0 (shared noise)")
+        if self.coupling.token_draw not in (None, *TOKEN_DRAWS):
+            raise ValueError(
+                f"token_draw={self.coupling.token_draw!r} is none of {', '.join(TOKEN_DRAWS)}: give one of them"
+            )
 
     @property
     def reference_nfe(self) -> int:
@@ -80,8 +84,11 @@ class EvaluationProtocol:
         return {
             "pairs_per_condition": self.pairs,
             "seed": self.seed,
-            "coupling": {
-                "source_noise_beta": self.coupling.source_noise_beta,
-                "share_token": self.coupling.share_token,
-            },
+            "coupling": described_coupling(self.coupling),
         }
+
+
+def described_coupling(coupling: SamplingCoupling) -> dict[str, Any]:
+    """What a gate's provenance says of a coupling; the draw of its tokens only where it is not the policy's own."""
+    said: dict[str, Any] = {"source_noise_beta": coupling.source_noise_beta, "share_token": coupling.share_token}
+    return said if coupling.token_draw is None else said | {"token_draw": coupling.token_draw}

@@ -139,7 +139,7 @@ def mechanism_of(gate: Gate) -> Mechanism:
         beta=float(beta),
         token=settings.get("token"),
         n_tokens=int(settings.get("n_tokens") or gate.n_modes),
-        learned_draw=settings.get("token_draw", "uniform") != "uniform",
+        learned_draw=(coupling.get("token_draw") or settings.get("token_draw", "uniform")) != "uniform",
         consistency=float(settings.get("consistency_weight") or 0.0),
         latent=settings.get("latent"),
         latent_dim=int(settings.get("latent_dim") or 0),

@@ -14,6 +14,12 @@ from dualhead_eval.report.inputs import read_inputs
 from dualhead_eval.results_page.template import percent
 from dualhead_eval.statistics.run import Run, open_runs
 
+#: What a row says of a field of the policy that was another one in sampling.
+SAMPLED_OTHERWISE = {
+    "source_noise_beta": "noise shared in sampling alone",
+    "token_draw": "token drawn otherwise in sampling alone",
+}
+
 
 @dataclass(frozen=True)
 class NamedRun:
@@ -40,10 +46,11 @@ class NamedRun:
         name = f"{self.environment} {self.run.gate.label.partition(',')[0]}"
         if self.note:
             name += f", {self.note}"
-        sampled = (self.run.gate.provenance.get("coupling") or {}).get("source_noise_beta")
-        trained = (self.run.gate.provenance.get("config") or {}).get("source_noise_beta")
-        if sampled is not None and trained is not None and sampled != trained:
-            name += " (noise shared in sampling alone)"
+        coupling, config = (self.run.gate.provenance.get(part) or {} for part in ("coupling", "config"))
+        for field, remark in SAMPLED_OTHERWISE.items():
+            sampled, trained = coupling.get(field), config.get(field)
+            if sampled is not None and trained is not None and sampled != trained:
+                name += f" ({remark})"
         return name
 
     @property

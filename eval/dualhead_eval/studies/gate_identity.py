@@ -14,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from dualhead_eval.evaluation.protocol import described_coupling
 from dualhead_eval.gate import Gate
 from dualhead_eval.studies.study_file import Bank, StudyDataset
 from dualhead_eval.studies.study_plan import StudyEvaluation, StudyRun
@@ -98,7 +99,7 @@ def _differences(
         ("fresh_paths", training.get("fresh_paths"), False),
         ("pairs_per_condition", provenance.get("pairs_per_condition"), bank.pairs),
         ("evaluation seed", provenance.get("seed"), bank.seed),
-        ("coupling", provenance.get("coupling"), {"source_noise_beta": run.source_noise_beta, "share_token": True}),
+        ("coupling", provenance.get("coupling"), described_coupling(run.coupling)),
         ("nfes", gate.nfes, sorted(bank.nfes)),
         ("reference_nfe", gate.reference_nfe, bank.nfes[0]),
         ("taus", gate.taus, sorted({gate.reference_tau, *bank.taus})),

@@ -14,7 +14,6 @@ from dualhead_eval.gate import Gate, write_gate
 from dualhead_eval.gate.compact import compact_gate
 from dualhead_eval.studies.study_file import Bank
 from dualhead_eval.studies.study_plan import StudyEvaluation
-from dualhead_policy.sampling import SamplingCoupling
 
 
 def evaluate_study_run(
@@ -55,7 +54,7 @@ def evaluate_study_run(
         nfes=tuple(bank.nfes),
         taus=tuple(bank.taus),
         seed=bank.seed,
-        coupling=SamplingCoupling(source_noise_beta=evaluation.run.source_noise_beta),
+        coupling=evaluation.run.coupling,
     )
     gate = evaluate(sampler, conditions[: bank.conditions], protocol, evaluation.label, progress=progress)
     return write_study_gate(

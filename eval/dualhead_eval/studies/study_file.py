@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -11,6 +11,7 @@ from dualhead_envs.validated_json import Label, Schema
 from dualhead_envs.validated_yaml import read_validated_yaml
 from dualhead_eval.evaluation.protocol import FROZEN_NFE, FROZEN_PAIRS
 from dualhead_eval.studies.criterion import Criterion
+from dualhead_policy.sampling import SamplingCoupling
 from dualhead_policy.training.sweep.sweep_file import FlagValue, Name, NamedConfiguration, named
 
 REMEDY = "see docs/studies.md for the fields of a study"
@@ -62,20 +63,35 @@ class Bank(Schema):
 
 
 class ResampledRow(Schema):
-    """A row that trains nothing: another row's checkpoints, their source noise coupled otherwise in sampling.
+    """A row that trains nothing: another row's checkpoints, their noise or token drawn otherwise in sampling.
 
-    Heads whose losses are separate learn the same velocity fields under every coupling of the noise, so that what
-    the coupling does is a question to the sampler alone.
+    Heads whose losses are separate learn the same velocity fields under every coupling of the noise, and any heads
+    under every draw of the token, whose learned prior sends them no gradient: a question to the sampler alone.
 
     Attributes:
         name: The row.
         of: The configuration whose checkpoints are sampled.
-        source_noise_beta: Coupling of the heads' source noise in sampling, 1 private to 0 shared.
+        source_noise_beta: Coupling of the heads' source noise in sampling, 1 private to 0 shared; None: as trained.
+        token_draw: Distribution of the tokens in sampling; None: as trained.
     """
 
     name: Name
     of: Name
-    source_noise_beta: Annotated[float, Field(ge=0, le=1)]
+    source_noise_beta: Annotated[float, Field(ge=0, le=1)] | None = None
+    token_draw: Literal["uniform", "marginal", "learned"] | None = None
+
+    @model_validator(mode="after")
+    def _samples_otherwise(self) -> Self:
+        if self.source_noise_beta is None and self.token_draw is None:
+            raise ValueError(
+                f"its resampled row {self.name!r} samples as {self.of!r} does: give source_noise_beta or token_draw"
+            )
+        return self
+
+    @property
+    def coupling(self) -> SamplingCoupling:
+        """How the checkpoints are sampled."""
+        return SamplingCoupling(source_noise_beta=self.source_noise_beta, token_draw=self.token_draw)
 
 
 class RunBlock(Schema):

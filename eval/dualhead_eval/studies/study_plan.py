@@ -15,10 +15,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dualhead_eval.studies.study_file import Bank, RunBlock, StudyDataset, StudyFile
+from dualhead_policy.sampling import SamplingCoupling
 from dualhead_policy.training.sweep.sweep_file import FlagValue, SweepRun, command_flags, named
 
 #: How a study's gate files end.
 GATE_SUFFIX = ".gate.json.gz"
+#: Sampling as the policy was trained.
+POLICYS_OWN = SamplingCoupling()
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class StudyRun:
         checkpoints: Steps whose checkpoints are wanted, increasing.
         importance: The most important block that needs it, 1 being the first.
         trained_as: Name of the configuration whose training it is, where that is another row's.
-        source_noise_beta: Coupling of the source noise in sampling, None for the policy's own.
+        coupling: What the heads share in sampling, the policy's own way by default.
     """
 
     dataset: str
@@ -47,7 +50,7 @@ class StudyRun:
     checkpoints: tuple[int, ...]
     importance: int
     trained_as: str | None = None
-    source_noise_beta: float | None = None
+    coupling: SamplingCoupling = POLICYS_OWN
 
     @property
     def cell(self) -> str:
@@ -244,9 +247,7 @@ def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
             importance=block.importance,
         )
         resampled = [
-            replace(
-                trained, configuration=row.name, trained_as=configuration.name, source_noise_beta=row.source_noise_beta
-            )
+            replace(trained, configuration=row.name, trained_as=configuration.name, coupling=row.coupling)
             for row in block.resampled
             if row.of == configuration.name
         ]
@@ -260,7 +261,7 @@ def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
 
 
 def _identity(run: StudyRun) -> tuple[object, ...]:
-    return run.config, dict(run.flags), run.seed, run.steps, run.trained_as, run.source_noise_beta
+    return run.config, dict(run.flags), run.seed, run.steps, run.trained_as, run.coupling
 
 
 def _same(what: str, name: str, first: object, second: object) -> None:

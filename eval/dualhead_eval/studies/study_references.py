@@ -113,8 +113,9 @@ def write_missing_references(plan: StudyPlan, data: Path, folder: Path) -> bool:
         if not ring or len(bank.nfes) > 1 or bank.taus or not root.is_dir():
             continue
         policy = wanted_policy(evaluation.run)
-        if evaluation.run.source_noise_beta is not None:
-            policy["source_noise_beta"] = evaluation.run.source_noise_beta
+        for field in ("source_noise_beta", "token_draw"):
+            if (sampled := getattr(evaluation.run.coupling, field)) is not None:
+                policy[field] = sampled
         if (name := _closed_form(policy)) is not None:
             path = folder / evaluation.run.dataset / f"{name}-{evaluation.bank}.gate.json.gz"
             if not path.exists():

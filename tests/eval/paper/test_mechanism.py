@@ -49,6 +49,13 @@ def test_settings_that_the_paper_did_not_run_have_no_row(make_gate):
     assert mechanism_of(redrawn).paper_row == ""
     sampled = make_gate("x", coupling={"source_noise_beta": 0.0}, config={"source_noise_beta": 1.0})
     assert mechanism_of(sampled).family == "B shared source noise"
+    uniform = make_gate(
+        "x",
+        partition="bypass-v2",
+        coupling={"token_draw": "uniform"},
+        config={"token": "episode", "token_draw": "learned"},
+    )
+    assert mechanism_of(uniform).paper_row == "v2/H episode token uniform"
 
 
 def test_the_papers_figures_are_package_data():

@@ -95,6 +95,10 @@ def test_a_resampled_row_is_its_own_run_of_another_rows_training(tmp_path):
     rows = [run for run in plan.runs if run.configuration == "B"]
     assert [run.name for run in rows] == ["ring/B-400/seed-0", "ring/B-400/seed-1"]
     assert [run.name for run in plan.trainings(rows)] == ["ring/A-400/seed-0", "ring/A-400/seed-1"]
+    assert {run.coupling.source_noise_beta for run in rows} == {0.0}
+    drawn = block | {"resampled": [{"name": "H", "of": "A", "token_draw": "uniform"}]}
+    rows = [run for run in plan_study(small(tmp_path, runs=[drawn])).runs if run.configuration == "H"]
+    assert {run.coupling.token_draw for run in rows} == {"uniform"}
 
 
 def test_one_name_for_two_things_is_refused(tmp_path):
@@ -119,6 +123,7 @@ def test_one_name_for_two_things_is_refused(tmp_path):
             {"runs": [SMALL["runs"][2] | {"resampled": [{"name": "D", "of": "C", "source_noise_beta": 0.0}]}]},
             "is of .C., expected one",
         ),
+        ({"runs": [SMALL["runs"][2] | {"resampled": [{"name": "D", "of": "B"}]}]}, "samples as .B. does"),
         ({"surprise": 1}, "unknown field 'surprise'"),
     ],
 )
