@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         log = _made(study)
     with stage(study.console, 5, 5, "Grade the registered criteria."):
-        found = conclude(log, study.scored(), protocol, study.budget.seeds)
+        found = conclude(log, study.scored(), protocol, study.budget.seeds, study.later)
     console = open_console()
     tables = [
         *study_tables(log, found, protocol),

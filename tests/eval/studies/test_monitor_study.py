@@ -93,6 +93,20 @@ def test_a_gap_that_is_taken_away_is_graded_so(found):
     assert found[2].families["I", "residual"]["surcharge"].value == 0
 
 
+def test_a_rival_that_compares_distributions_is_graded_where_it_was_registered(found, protocol):
+    log, scored, conclusions = found
+    assert {verdict.name for verdict in conclusions.verdicts["I"]} == {"P1", "P2", "S1", "S2", "S4"}
+    assert MonitorStudy(protocol, "v2", "full", Path("S")).later is None
+    later = MonitorStudy(protocol, "v3", "full", Path("S")).later
+    assert later.S5.signal == "residual_energy"
+    later = later.model_copy(update={"S5": later.S5.model_copy(update={"signal": "residual_matched"})})
+    verdicts = {v.name: v for v in conclude(log, scored, protocol, protocol.presets["full"].seeds, later).verdicts["I"]}
+    # Here all signals of the baseline are its residual: it detects as well, and keeps the whole gap.
+    assert verdicts["S5a"].value == -verdicts["P2"].value
+    assert verdicts["S5b"].value == -verdicts["P1"].value
+    assert (verdicts["S5a"].grade, verdicts["S5b"].grade) == ("met", "not met")
+
+
 def test_a_threshold_per_flag_takes_the_gap_away_without_coordination(found):
     rivals = found[2].rivals
     assert rivals["A", "conformal:paper-step"]["gap"].value > 0.4

@@ -12,12 +12,13 @@ from dualhead_eval.studies.monitor.arm_scores import ArmScores
 from dualhead_eval.studies.monitor.families import Families, FamilyMeasure, RunMeasures
 from dualhead_eval.studies.monitor.log_table import MonitorLog
 from dualhead_eval.studies.monitor.regime import Regime, mean_regime, regime
-from dualhead_eval.studies.monitor.registration import Registration, Rule
+from dualhead_eval.studies.monitor.registration import LaterCriteria, Registration, Rule
 from dualhead_eval.studies.monitor.verdicts import (
     NOT_DECIDED,
     NOT_TESTED,
     Verdict,
     grade_detection,
+    grade_distribution_rival,
     grade_false_alarms,
     grade_rival,
     report_difference,
@@ -51,7 +52,9 @@ class Conclusions:
     alarms: dict[str, AlarmLog]
 
 
-def conclude(log: MonitorLog, scored: Scored, protocol: Registration, planned: list[int]) -> Conclusions:
+def conclude(
+    log: MonitorLog, scored: Scored, protocol: Registration, planned: list[int], later: LaterCriteria | None = None
+) -> Conclusions:
     """Measure and grade.
 
     Args:
@@ -59,6 +62,7 @@ def conclude(log: MonitorLog, scored: Scored, protocol: Registration, planned: l
         scored: The arms' scores.
         protocol: The registered protocol.
         planned: Training seeds of every arm.
+        later: What was registered later for this environment.
 
     Raises:
         ValueError: If the baseline has no scores, or the thresholds have too few calibration episodes.
@@ -96,7 +100,7 @@ def conclude(log: MonitorLog, scored: Scored, protocol: Registration, planned: l
     for arm in scored:
         common = [seed for seed in scored[arm] if seed in scored[protocol.baseline]]
         if arm != protocol.baseline and common:
-            found = _grade(arm, common, runs, families, protocol)
+            found = _grade(arm, common, runs, families, protocol, later)
             verdicts[arm] = _qualified(found, arm, common, planned, regimes, protocol)
     return Conclusions(
         {arm: list(by_seed) for arm, by_seed in scored.items()},
@@ -111,7 +115,7 @@ def conclude(log: MonitorLog, scored: Scored, protocol: Registration, planned: l
 
 def _grade(
     arm: str, seeds: list[int], runs: Mapping[tuple[str, int, str], RunMeasures], families: Families,
-    protocol: Registration,
+    protocol: Registration, later: LaterCriteria | None,
 ) -> list[Verdict]:  # fmt: skip
     def family(of: str, signal: str) -> dict[str, FamilyMeasure]:
         return families.family([runs[of, seed, signal] for seed in seeds])
@@ -119,6 +123,10 @@ def _grade(
     criteria, base = protocol.criteria, protocol.baseline
     ours, theirs = family(arm, criteria.P1.signal), family(base, criteria.P1.signal)
     rival = family(base, criteria.S2.signal)
+    added: list[Verdict] = []
+    if later is not None:
+        rule = later.S5
+        added = grade_distribution_rival(family(arm, rule.against), family(base, rule.signal), rule)
     return [
         grade_false_alarms(ours[criteria.P1.measure], theirs[criteria.P1.measure], criteria),
         grade_detection(ours[criteria.P2.measure], theirs[criteria.P2.measure], criteria),
@@ -126,6 +134,7 @@ def _grade(
                           theirs[criteria.S1.measure]),
         grade_rival(family(arm, criteria.S2.against)[criteria.S2.measure], rival[criteria.S2.measure], criteria),
         report_difference("S4", "mismatch surcharge", ours[criteria.S4.measure], theirs[criteria.S4.measure]),
+        *added,
     ]  # fmt: skip
 
 

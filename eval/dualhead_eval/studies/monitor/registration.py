@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from dualhead_envs.validated_json import Schema, validated
 
-SOURCE = "registration.yaml"
+SOURCE, LATER_SOURCE = "registration.yaml", "later.yaml"
 PolicyFields = dict[str, str | int | float]
 Seed = Annotated[int, Field(ge=0)]
 #: Environments that the protocol names.
@@ -145,6 +145,36 @@ class Criteria(Schema):
     S4: Reported
 
 
+class LowerBound(Schema):
+    """A difference must lie above a bound."""
+
+    measure: str
+    lower_above: float
+
+
+class UpperBound(Schema):
+    """A difference must lie below a bound."""
+
+    measure: str
+    upper_below: float
+
+
+class DistributionRival(Schema):
+    """The baseline's ``signal`` must detect no worse than the arm's ``against``, and with a smaller gap."""
+
+    signal: str
+    against: str
+    detection: LowerBound
+    false_alarms: UpperBound
+
+
+class LaterCriteria(Schema):
+    """What was registered after the first environment's results, for the environments not scored by then."""
+
+    environments: list[EnvName]
+    S5: DistributionRival
+
+
 class Registration(Schema):
     """The protocol; ``docs/monitor_registration.md`` says in words what each field is for."""
 
@@ -174,5 +204,14 @@ class Registration(Schema):
 
 def registered() -> Registration:
     """The protocol that comes with this package."""
-    text = files(__package__).joinpath(SOURCE).read_text(encoding="utf-8")
-    return validated(yaml.safe_load(text), Registration, source=SOURCE, remedy="install the package again")
+    return _packaged(SOURCE, Registration)
+
+
+def registered_later() -> LaterCriteria:
+    """What was added to the protocol later; a file of its own, so that the protocol stays what it was."""
+    return _packaged(LATER_SOURCE, LaterCriteria)
+
+
+def _packaged[S: Schema](name: str, schema: type[S]) -> S:
+    text = files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return validated(yaml.safe_load(text), schema, source=name, remedy="install the package again")

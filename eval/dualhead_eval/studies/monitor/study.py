@@ -23,7 +23,13 @@ from dualhead_eval.studies.monitor.figures import STUDY_CAPTIONS, study_figures
 from dualhead_eval.studies.monitor.log_table import MonitorLog, collect_log, read_log, write_log
 from dualhead_eval.studies.monitor.observation_scores import OBSERVING, score_observations
 from dualhead_eval.studies.monitor.recording import parts, record_log
-from dualhead_eval.studies.monitor.registration import EnvName, PolicyFields, Registration
+from dualhead_eval.studies.monitor.registration import (
+    EnvName,
+    LaterCriteria,
+    PolicyFields,
+    Registration,
+    registered_later,
+)
 from dualhead_policy.pretrained import policy_folder
 
 SETTINGS, LOG, SCORES = "study.json", "log.parquet", "scores"
@@ -64,6 +70,12 @@ class MonitorStudy:
         self.given_arms, self.given_executor = arms, executor
         self.jobs, self.device = jobs, device
         self.console = Console(stderr=True)
+
+    @property
+    def later(self) -> LaterCriteria | None:
+        """What was registered later for its environment."""
+        later = registered_later()
+        return later if self.env in later.environments else None
 
     def claim_folder(self) -> None:
         """Create the folder, or go on in it.
@@ -219,6 +231,8 @@ class MonitorStudy:
             raise FileExistsError(f"{folder} is not empty: give another --keep, or delete it first")
         criteria = self.protocol.criteria
         signals = {criteria.P1.signal, criteria.P2.signal, criteria.S2.signal, criteria.S2.against}
+        if self.later is not None:
+            signals |= {self.later.S5.signal, self.later.S5.against}
         for arm, by_seed in self.scored().items():
             for seed, scores in by_seed.items():
                 whole = seed == min(by_seed) and arm in (self.protocol.baseline, self.protocol.primary_arm)
