@@ -21,6 +21,7 @@ from dualhead_eval.studies.monitor.registration import registered
 from dualhead_eval.studies.monitor.scoring import joint_labels, labels_by_token
 from dualhead_eval.studies.monitor.study import MonitorStudy
 from dualhead_eval.studies.monitor.tables import study_tables
+from dualhead_eval.studies.monitor.verdicts import grade_distribution_rival
 
 DECISIONS, FLAGGED = 20, (9, 10)
 
@@ -101,10 +102,12 @@ def test_a_rival_that_compares_distributions_is_graded_where_it_was_registered(f
     assert later.S5.signal == "residual_energy"
     later = later.model_copy(update={"S5": later.S5.model_copy(update={"signal": "residual_matched"})})
     verdicts = {v.name: v for v in conclude(log, scored, protocol, protocol.presets["full"].seeds, later).verdicts["I"]}
-    # Here all signals of the baseline are its residual: it detects as well, and keeps the whole gap.
+    # Here all signals of the baseline are its residual: it detects less well, and keeps the whole gap.
     assert verdicts["S5a"].value == -verdicts["P2"].value
     assert verdicts["S5b"].value == -verdicts["P1"].value
-    assert (verdicts["S5a"].grade, verdicts["S5b"].grade) == ("met", "not met")
+    assert [verdicts[name].grade for name in ("S5a", "S5b")] == ["not met", "not met"]
+    arm, rival = (conclusions.families[name, "residual"] for name in ("A", "I"))
+    assert [verdict.grade for verdict in grade_distribution_rival(arm, rival, later.S5)] == ["met", "met"]
 
 
 def test_a_threshold_per_flag_takes_the_gap_away_without_coordination(found):
