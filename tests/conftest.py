@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Before torch is loaded: with a thread per core, tests side by side and their processes wait for each other.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 #: What the console script `lerobot-train` does, for one set of flags after the other; it never names this package.
 LEROBOT_TRAIN = """
