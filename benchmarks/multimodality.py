@@ -91,6 +91,7 @@ class Task:
         return (
             Entry("ACT", "ACT", _ACT, 4000),
             Entry("Diffusion", "Diffusion (DDIM)", _DIFFUSION, 5000),
+            Entry("Diffusion_1e-3", "Diffusion (DDIM), rate 1e-3", (*_DIFFUSION, "--policy.optimizer_lr=1e-3"), 10000),
             *(
                 Entry(name, title, (f"--config_path=configs/{self.name}/{name}.yaml",), 5000, True)
                 for name, title in ours.items()
