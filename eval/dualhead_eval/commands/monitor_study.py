@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 from dualhead_eval.commands.console import open_console
 
 if TYPE_CHECKING:
+    from dualhead_eval.studies.monitor.conclusions import Conclusions
     from dualhead_eval.studies.monitor.log_table import MonitorLog
+    from dualhead_eval.studies.monitor.registration import Registration
     from dualhead_eval.studies.monitor.study import MonitorStudy
 
 DESCRIPTION = """\
@@ -45,6 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time (default: 2)")
     parser.add_argument("--only-grade", action="store_true", help="make nothing: grade what the folder holds")
+    parser.add_argument(
+        "--beside", type=Path, metavar="DIR", help="the other environment's study: test both together (Holm's rule)"
+    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="write what the verdicts need, small, into DIR too")
     parser.add_argument("--device", default="cpu", help="where arms are sampled (default: cpu)")
 
@@ -59,12 +64,11 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.jobs < 1:
         raise ValueError(f"--jobs {args.jobs} is not positive: give at least 1")
-    for name in ("data", "arms", "executor"):
+    for name in ("data", "arms", "executor", "beside"):
         given = getattr(args, name)
         if given is not None and not given.is_dir():
             raise FileNotFoundError(f"--{name} {given} is no folder: give one that exists, or leave it out")
     from dualhead_eval.report.terminal import render_table
-    from dualhead_eval.studies.monitor.conclusions import conclude
     from dualhead_eval.studies.monitor.log_table import read_log
     from dualhead_eval.studies.monitor.paper_logs import first_logs
     from dualhead_eval.studies.monitor.paper_tables import paper_tables
@@ -76,16 +80,20 @@ def run(args: argparse.Namespace) -> int:
     options: dict[str, Any] = {name: getattr(args, name) for name in ("data", "arms", "executor", "jobs", "device")}
     protocol = registered()
     study = MonitorStudy(protocol, args.env, args.preset, args.output, **options)
+    other = None if args.beside is None else _other(args, protocol)
     study.claim_folder()
     if args.only_grade:
         log = read_log(args.output / LOG)
     else:
         log = _made(study)
     with stage(study.console, 5, 5, "Grade the registered criteria."):
-        found = conclude(log, study.scored(), protocol, study.budget.seeds, study.later)
+        found = _conclude(study, log)
+        beside: dict[str, Conclusions] = {}
+        if other is not None:
+            beside[other.env] = _conclude(other, read_log(other.root / LOG))
     console = open_console()
     tables = [
-        *study_tables(log, found, protocol),
+        *study_tables(log, found, protocol, beside),
         *paper_tables(*first_logs(log, study.scored(), study.observed(), protocol), found, protocol),
     ]
     for table in tables:
@@ -96,6 +104,23 @@ def run(args: argparse.Namespace) -> int:
         study.keep(args.keep, log)
         console.print(f"kept: {args.keep}")
     return 0
+
+
+def _other(args: argparse.Namespace, protocol: Registration) -> MonitorStudy:
+    """The study of the other environment that ``--beside`` names."""
+    from dualhead_eval.studies.monitor.study import MonitorStudy
+
+    (env,) = (name for name in protocol.environments if name != args.env)
+    study = MonitorStudy(protocol, env, args.preset, args.beside)
+    if not study.is_claimed():
+        raise ValueError(f"--beside {args.beside} holds no {args.preset} study of {env}: give that one's --output")
+    return study
+
+
+def _conclude(study: MonitorStudy, log: MonitorLog) -> Conclusions:
+    from dualhead_eval.studies.monitor.conclusions import conclude
+
+    return conclude(log, study.scored(), study.protocol, study.budget.seeds, study.later)
 
 
 def _made(study: MonitorStudy) -> MonitorLog:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from dualhead_eval.studies.monitor.regime import regime
 from dualhead_eval.studies.monitor.registration import registered
 from dualhead_eval.studies.monitor.scoring import joint_labels, labels_by_token
 from dualhead_eval.studies.monitor.study import MonitorStudy
-from dualhead_eval.studies.monitor.tables import study_tables
+from dualhead_eval.studies.monitor.tables import practical_value, study_tables
 from dualhead_eval.studies.monitor.verdicts import grade_distribution_rival
 
 DECISIONS, FLAGGED = 20, (9, 10)
@@ -171,11 +172,28 @@ def test_tables_and_figures_of_a_whole_study(found, protocol):
     log, _, conclusions = found
     tables = study_tables(log, conclusions, protocol)
     assert tables[0].title == "The registered criteria"
-    assert "(P1 and P2 together): established, p = 0.01" in tables[0].notes[0]
+    assert "this environment: established, p = 0.0100 against 0.025" in tables[0].notes[0]
     figures = study_figures(conclusions)
     assert set(figures) == {"forest", "roc", "delay"}
     assert all(png.startswith(b"\x89PNG") for png in figures.values())
     assert monitor_page(tables, figures, STUDY_CAPTIONS).count("<figure>") == 3
+
+
+def test_two_environments_are_tested_together(found, protocol):
+    """The second of Holm's steps is at the whole level; an environment without scores is no step."""
+    conclusions = found[2]
+    (verdicts,) = conclusions.verdicts.values()
+    p2 = replace(next(v for v in verdicts if v.name == "P2"), p_value=0.04)
+    weaker = replace(conclusions, verdicts={"I": [v for v in verdicts if v.name != "P2"] + [p2]})
+    alone = practical_value({"v3": weaker}, protocol)
+    both = practical_value({"v3": weaker, "v2": conclusions}, protocol)
+    assert alone[0].endswith("v3: not established, p = 0.0400 against 0.025")
+    assert [line.rpartition("together), ")[2] for line in both] == [
+        "v3: established, p = 0.0400 against 0.05",
+        "v2: established, p = 0.0100 against 0.025",
+    ]
+    unscored = practical_value({"v3": replace(conclusions, verdicts={}), "v2": conclusions}, protocol)
+    assert unscored[0].endswith("v3: arm I is not scored, nothing is decided")
 
 
 def test_a_familys_interval_holds_the_spread_of_its_seeds():
@@ -278,6 +296,8 @@ def test_scores_that_diverged_stay_infinite():
         (["--jobs", "0"], "--jobs 0 is not positive"),
         (["--arms", "nowhere"], "--arms nowhere is no folder"),
         (["--only-grade"], "log.parquet does not exist"),
+        (["--beside", "nowhere"], "--beside nowhere is no folder"),
+        (["--beside", ".", "--only-grade"], "--beside . holds no smoke study of v3"),
     ],
 )
 def test_a_study_that_cannot_begin_says_why(tmp_path, monkeypatch, capsys, arguments, sentence):

@@ -83,11 +83,9 @@ class MonitorStudy:
         Raises:
             FileExistsError: If it holds something else, or a study with other settings.
         """
-        settings = {"env": self.env, "preset": self.preset, "protocol": self.protocol.model_dump(mode="json")}
         path = self.root / SETTINGS
         if path.is_file():
-            found = read_json(path, kind="the settings of a monitor study", remedy="give another --output")
-            if found != settings:
+            if not self.is_claimed():
                 raise FileExistsError(
                     f"{self.root} holds a monitor study of another environment, preset or protocol: give another "
                     "--output"
@@ -95,7 +93,17 @@ class MonitorStudy:
             return
         if self.root.exists() and any(self.root.iterdir()):
             raise FileExistsError(f"{self.root} is not empty and holds no monitor study: give another --output")
-        write_text(path, json.dumps(settings, indent=1))
+        write_text(path, json.dumps(self._settings(), indent=1))
+
+    def is_claimed(self) -> bool:
+        """Whether its folder is there and holds this environment, preset and protocol."""
+        path = self.root / SETTINGS
+        if not path.is_file():
+            return False
+        return read_json(path, kind="the settings of a monitor study", remedy="give another folder") == self._settings()
+
+    def _settings(self) -> dict[str, Any]:
+        return {"env": self.env, "preset": self.preset, "protocol": self.protocol.model_dump(mode="json")}
 
     def record_demonstrations(self) -> None:
         """Record the demonstrations, unless they are there."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -33,10 +34,12 @@ _MEASURES = (
 )
 
 
-def study_tables(log: MonitorLog, found: Conclusions, protocol: Registration) -> list[Table]:
-    """Every table, in the order in which they are read."""
+def study_tables(
+    log: MonitorLog, found: Conclusions, protocol: Registration, beside: Mapping[str, Conclusions] | None = None
+) -> list[Table]:
+    """Every table, in the order in which they are read; ``beside``: conclusions of the other environments, by name."""
     return [
-        _verdicts(found, protocol),
+        _verdicts(found, protocol, beside or {}),
         _regimes(found, protocol),
         _arms(found, protocol),
         _rivals(found),
@@ -44,7 +47,7 @@ def study_tables(log: MonitorLog, found: Conclusions, protocol: Registration) ->
     ]
 
 
-def _verdicts(found: Conclusions, protocol: Registration) -> Table:
+def _verdicts(found: Conclusions, protocol: Registration, beside: Mapping[str, Conclusions]) -> Table:
     rows: list[tuple[str | Cell, ...]] = []
     for arm, verdicts in found.verdicts.items():
         for verdict in verdicts:
@@ -75,25 +78,34 @@ def _verdicts(found: Conclusions, protocol: Registration) -> Table:
         columns,
         tuple(rows),
         "docs/monitor_registration.md",
-        practical_value(found, protocol),
+        practical_value({"this environment": found, **beside}, protocol),
     )
 
 
-def practical_value(found: Conclusions, protocol: Registration) -> tuple[str, ...]:
-    """Whether P1 and P2 hold together at the level of Holm's first step over the environments."""
-    verdicts = {verdict.name: verdict for verdict in found.verdicts.get(protocol.primary_arm, [])}
-    if not verdicts:
-        return (f"arm {protocol.primary_arm} is not scored: nothing is decided",)
+def practical_value(found: Mapping[str, Conclusions], protocol: Registration) -> tuple[str, ...]:
+    """Whether P1 and P2 hold together, by Holm's rule over the protocol's environments; a line for each that is given.
+
+    An environment that is not at hand counts as not rejected: the others are then tested at the stricter levels.
+    """
+    lines, p_values, met = {}, {}, {}
+    for name, conclusions in found.items():
+        verdicts = {verdict.name: verdict for verdict in conclusions.verdicts.get(protocol.primary_arm, [])}
+        if not verdicts:
+            lines[name] = f"arm {protocol.primary_arm} is not scored, nothing is decided"
+            continue
+        grades = {verdicts["P1"].grade, verdicts["P2"].grade}
+        if "not tested" in grades or any("seeds scored" in v.reason for v in verdicts.values()):
+            lines[name] = grades.pop()
+            continue
+        p_values[name] = max(_p(verdicts["P1"]), _p(verdicts["P2"]))
+        met[name] = grades == {"met"}
     planned = len(protocol.environments)
-    level = protocol.scoring.alpha / planned
-    p = max(_p(verdicts["P1"]), _p(verdicts["P2"]))
-    grades = {verdicts["P1"].grade, verdicts["P2"].grade}
-    if "not tested" in grades or any("seeds scored" in v.reason for v in verdicts.values()):
-        return (f"practical value of coordination: {grades.pop()}",)
-    # The other environment is not at hand: this one is tested at the level of Holm's first step.
-    met = grades == {"met"} and holm({"this environment": p}, protocol.scoring.alpha, planned)["this environment"]
-    word = "established" if met else "not established"
-    return (f"practical value of coordination (P1 and P2 together): {word}, p = {p:.4f} against {level:g}",)
+    rejected = holm(p_values, protocol.scoring.alpha, planned)
+    for rank, name in enumerate(rejected):
+        word = "established" if rejected[name] and met[name] else "not established"
+        level = protocol.scoring.alpha / (planned - rank)
+        lines[name] = f"{word}, p = {p_values[name]:.4f} against {level:g}"
+    return tuple(f"practical value of coordination (P1 and P2 together), {name}: {lines[name]}" for name in found)
 
 
 def _p(verdict: Verdict) -> float:
