@@ -354,7 +354,19 @@ def test_the_kept_results_give_what_is_published(protocol):
     assert found.regimes["I"].obedience == pytest.approx(0.971, abs=5e-4)
     seeds = {arm: len(own) for arm, own in found.seeds.items()}
     text = (root / "docs" / "monitor.md").read_text()
-    assert ("six seeds of A and I" in text) == (seeds == {"A": 6, "I": 6})
+    assert "six seeds of A and I" in text
+    assert seeds == {"A": 6, "I": 6, "K": 6}
+
+
+def test_the_kept_results_of_v3_give_what_is_published():
+    root = Path(__file__).parents[3]
+    study = MonitorStudy(registered(), "v3", "full", root / "results" / "monitor" / "v3")
+    assert study.is_claimed()
+    found = conclude(study.log(), study.scored(), study.protocol, study.budget.seeds, study.later)
+    verdicts = {verdict.name: verdict for verdict in found.verdicts["I"]}
+    values = {"P1": -0.221, "P2": 0.018, "S1": 0.014, "S2": -0.001, "S4": -0.255, "S5a": 0.006, "S5b": -0.092}
+    assert {name: verdict.value for name, verdict in verdicts.items()} == pytest.approx(values, abs=6e-4)
+    assert [verdicts[name].grade for name in ("P1", "P2", "S5a", "S5b")] == ["met", "met", "not decided", "met"]
 
 
 def test_no_seed_of_the_log_is_used_twice(protocol):
