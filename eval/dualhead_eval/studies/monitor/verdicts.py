@@ -59,12 +59,7 @@ def grade_detection(arm: FamilyMeasure, baseline: FamilyMeasure, criteria: Crite
     rule = criteria.P2
     difference = arm - baseline
     interval = difference.interval()
-    if interval.low > rule.lower_above:
-        grade = MET
-    elif interval.high < rule.lower_above:
-        grade = NOT_MET
-    else:
-        grade = NOT_DECIDED
+    grade = _one_sided(met=interval.low > rule.lower_above, excluded=interval.high < rule.lower_above)
     reason = f"AUROC {arm.value:.3f} against {baseline.value:.3f}, margin {rule.lower_above:g}"
     if arm.value != arm.value or baseline.value != baseline.value:
         reason = "no kind and level has enough successes and failures to be compared"
@@ -102,17 +97,22 @@ def grade_distribution_rival(
     return [
         Verdict(
             "S5a", f"{between}, AUROC", detection.value, bounds[0],
-            MET if bounds[0].low > low else NOT_MET if bounds[0].high < low else NOT_DECIDED,
+            _one_sided(met=bounds[0].low > low, excluded=bounds[0].high < low),
             f"{rival[rule.detection.measure].value:.3f} without coordination against "
             f"{arm[rule.detection.measure].value:.3f} with it, margin {low:g}",
         ),
         Verdict(
             "S5b", f"{between}, gap of false alarms", gap.value, bounds[1],
-            MET if bounds[1].high < high else NOT_MET if bounds[1].low > high else NOT_DECIDED,
+            _one_sided(met=bounds[1].high < high, excluded=bounds[1].low > high),
             f"{rival[rule.false_alarms.measure].value:+.1%} without coordination against "
             f"{arm[rule.false_alarms.measure].value:+.1%} with it",
         ),
     ]  # fmt: skip
+
+
+def _one_sided(*, met: bool, excluded: bool) -> str:
+    """The grade of a bound: the whole interval keeps it, breaks it, or holds it."""
+    return MET if met else NOT_MET if excluded else NOT_DECIDED
 
 
 def report_difference(name: str, measure: str, arm: FamilyMeasure, baseline: FamilyMeasure) -> Verdict:
