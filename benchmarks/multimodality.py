@@ -180,7 +180,7 @@ def evaluate(entry: Entry, data: Path, budget: Budget) -> None:
     results = budget.results
     results.mkdir(parents=True, exist_ok=True)
     policy = ["--policy", str(budget.checkpoint(entry)), "--dataset", str(data / "test")]
-    gate = results / f"{entry.name}.gate.json"
+    gate = results / f"{entry.name}.gate.json.gz"
     if not gate.exists():
         drawn = ["--draws", "position", "--pairs", str(budget.pairs), "--label", entry.name, "--output", str(gate)]
         subprocess.run([command("dualhead"), "evaluate", *policy, *drawn], check=True)
@@ -274,7 +274,7 @@ def table(task: Task, results: Path) -> str:
     head += ["success, position", "success, joint", "CPU ms: step", "decision", "it"]
     rows = [head, ["---"] * len(head)]
     for entry in task.entries:
-        file = results / f"{entry.name}.gate.json"
+        file = results / f"{entry.name}.gate.json.gz"
         if not file.exists():
             continue
         gate = read_gate(file)
@@ -321,7 +321,7 @@ def figure(task: Task, data: Path, budget: Budget, condition: int, picture: Path
     assert windows is not None
     shown: list[tuple[str, np.ndarray]] = [("demonstrations", windows[condition])]
     for entry in task.entries:
-        if (budget.results / f"{entry.name}.gate.json").exists():
+        if (budget.results / f"{entry.name}.gate.json.gz").exists():
             source = open_paths(budget.checkpoint(entry), "position")
             title = f"{entry.title}\n{budget.steps_of(entry):,} steps"
             shown.append((title, source.paths(one, 48, source.default_nfe, SEED)[0]))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from dualhead_eval.gate.gate import Gate
 from dualhead_eval.residuals.strata import ResidualStrata
 
-#: Significant digits of a condition: as many as tell two float32 numbers apart.
-CONDITION_DIGITS = 9
+#: Significant digits of a condition: they say which one it was (the fingerprint holds the file to the last bit).
+CONDITION_DIGITS = 5
 #: Significant digits of sums and medians of residuals, well inside the rounding that a gate's checks allow.
 RESIDUAL_DIGITS = 11
 

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dualhead_eval.gate.compact import CONDITION_DIGITS, rounded
 from dualhead_eval.gate.file import gate_digest
-from dualhead_eval.gate.gate import Gate
+from dualhead_eval.gate.gate import ROLLOUTS, Gate
 
 
 def merge_gates(gates: Sequence[Gate]) -> Gate:
@@ -55,8 +56,7 @@ def merge_gates(gates: Sequence[Gate]) -> Gate:
     conditions, pair_ids = [], []
     shared = False
     for gate in gates:
-        for index in range(gate.n_conditions):
-            key = (int(gate.pair_ids[index]), *gate.conditions[index].tolist())
+        for index, key in enumerate(_keys(gate)):
             table = gate.counts[:, :, index]
             if key in rows:
                 counts[rows[key]] = counts[rows[key]] + table
@@ -85,3 +85,13 @@ def merge_gates(gates: Sequence[Gate]) -> Gate:
         provenance=provenance,
         strata=strata,
     )
+
+
+def _keys(gate: Gate) -> list[tuple[float, ...]]:
+    """What tells the conditions of a gate apart: pair and state, as far as a compact gate knows it.
+
+    Decisions of recorded episodes are never compact, and neighbours may differ by less than its digits.
+    """
+    recorded = gate.provenance.get("method") == ROLLOUTS
+    states = gate.conditions if recorded else rounded(gate.conditions, CONDITION_DIGITS)
+    return [(int(pair), *state) for pair, state in zip(gate.pair_ids, states.tolist(), strict=True)]

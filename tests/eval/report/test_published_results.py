@@ -9,7 +9,7 @@ import pytest
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, read_closed_loop
 from dualhead_eval.gate import read_gate
 from dualhead_eval.report.content import make_report, report_json
-from dualhead_eval.report.inputs import GATE_SUFFIX
+from dualhead_eval.studies.study_plan import GATE_SUFFIX
 
 FOLDER = Path(__file__).parents[3] / "results"
 #: Folders of robot policies, by environment; the second of each holds what was trained before a choice was mended.
@@ -20,6 +20,7 @@ ROBOT_GATES = sorted(
     for folder in folders
     for path in (FOLDER / folder).glob("*" + GATE_SUFFIX)
 )
+assert {path.parent.name for _, path in ROBOT_GATES} == {name for names in ROBOT_FOLDERS.values() for name in names}
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def test_the_committed_page_has_not_drifted(in_the_clone):
 
 
 def test_a_line_of_the_table_says_what_its_gate_file_says(in_the_clone):
-    gate = read_gate(ROOT / "results/v3/G_consistency_3-10k.gate.json")
+    gate = read_gate(ROOT / "results/v3/G_consistency_3-10k.gate.json.gz")
     pair = summarise_run(gate)
     lines = [line for line in family_table(["results/v3"]).splitlines() if line.startswith("| v3 G_consistency_3 ")]
     (cells,) = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)

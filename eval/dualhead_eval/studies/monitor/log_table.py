@@ -33,6 +33,8 @@ EPISODE = {
     "steps": pa.int64(),
     "onset": pa.int64(),
 }
+#: Step of stored observations: .06 mrad and .06 mm, far below any sensor; half the bytes of a float are its last bits.
+OBSERVATION_STEP = 2.0**-14
 _COLUMNS = {"episode": pa.int64(), "step": pa.int64(), "flagged": pa.bool_()}
 
 
@@ -45,8 +47,8 @@ class MonitorLog:
         episode: Episode of every decision ``(D,)``.
         step: Control step of every decision ``(D,)``.
         flagged: Whether two modes were open there ``(D,)``.
-        observations: Observed vectors by LeRobot key, each ``(D, width)``, raw; none in an older log that was kept for
-            its verdicts alone.
+        observations: Observed vectors by LeRobot key, each ``(D, width)``, in their own units, to the nearest
+            :data:`OBSERVATION_STEP`; none in an older log that was kept for its verdicts alone.
         about: Environment, layout and names that a decision's builder needs, and the executor's provenance.
     """
 
@@ -141,9 +143,14 @@ def collect_log(
         np.array(rows["episode"], dtype=np.int64),
         np.array(rows["step"], dtype=np.int64),
         np.array(rows["flagged"], dtype=bool),
-        {key: np.stack(rows[key]).astype(np.float32) for key in OBSERVATIONS},
+        {key: rounded_observations(np.stack(rows[key])) for key in OBSERVATIONS},
         about,
     )
+
+
+def rounded_observations(values: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Observations on the grid of :data:`OBSERVATION_STEP`; a log is scored as it is stored."""
+    return (np.round(values.astype(np.float64) / OBSERVATION_STEP) * OBSERVATION_STEP).astype(np.float32)
 
 
 def write_log(log: MonitorLog, path: Path) -> None:
