@@ -45,6 +45,10 @@ def test_a_gate_states_its_configuration_budget_and_protocol(env, path):
     assert (gate.reference_nfe, gate.reference_tau) == (20, {"v2": 0.11, "v3": 0.18}[env])
 
 
+def test_committed_results_stay_small():
+    assert sum(path.stat().st_size for path in FOLDER.rglob("*") if path.is_file()) < 15e6
+
+
 @pytest.mark.parametrize(
     ("folder", "episodes"),
     # The benchmark of other policies says its 50 episodes, with Wilson's intervals, beside every rate.
