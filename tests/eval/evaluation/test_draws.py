@@ -150,7 +150,8 @@ def test_what_does_not_fit_is_refused_in_a_sentence(lerobot_runs, trained, ring_
     assert "observation.state of shape" in refusal(*act, "--dataset", panda_data / "test")
     assert "leave --nfe out" in refusal(*act, "--dataset", ring_data / "test", "--nfe", 5)
     ring = ["--dataset", ring_data / "test"]
-    assert "about both heads of a dual-head policy" in refusal(*act, *ring, "--source-noise-beta", 0)
+    for option in (("--source-noise-beta", 0), ("--token-draw", "uniform"), ("--redraw-token",)):
+        assert "about both heads of a dual-head policy" in refusal(*act, *ring, *option)
     assert "about both heads of a dual-head policy" in refusal(
         "--policy", trained, *ring, "--draws", "joint", "--update-card"
     )
