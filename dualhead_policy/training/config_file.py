@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from dualhead_envs.validated_json import read_json, shown
+from dualhead_envs.validated_yaml import check_size
 
 #: Largest configuration file, in bytes.
 MAX_BYTES = 2**20
-#: Most values of a configuration, each alias counted as what it stands for.
-MAX_VALUES = 10_000
-#: Deepest nesting.
-MAX_DEPTH = 32
 KIND, REMEDY = "a training configuration", "give a YAML or JSON file of lerobot-train's fields"
 
 
@@ -39,8 +35,7 @@ def check_config_file(path: Path) -> None:
             f"{path} has policy.type = {shown(policy['type'])}, expected 'dualhead': use lerobot-train for other "
             "policies"
         )
-    if _values(content, MAX_DEPTH) > MAX_VALUES:
-        raise ValueError(f"{path} holds more than {MAX_VALUES} values or is nested deeper than {MAX_DEPTH}: {REMEDY}")
+    check_size(content, source=str(path), remedy=REMEDY)
 
 
 def _read_yaml(path: Path) -> Any:
@@ -50,16 +45,3 @@ def _read_yaml(path: Path) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" (line {mark.line + 1}, column {mark.column + 1})"
         raise ValueError(f"{path} is not plain YAML{where}, expected {KIND}: {REMEDY}") from error
-
-
-def _values(value: Any, depth: int) -> int:
-    """Number of values in a document, or one more than is allowed as soon as that is certain."""
-    if depth == 0:
-        return MAX_VALUES + 1
-    children: Iterable[Any] = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    total = 1
-    for child in children:
-        total += _values(child, depth - 1)
-        if total > MAX_VALUES:
-            break
-    return total

@@ -12,6 +12,12 @@ class Named(Schema):
     name: str
 
 
+#: Nine lists of nine aliases of the list before: 387 million values in half a kilobyte.
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join([f'*{former}'] * 9)}]\n" for former, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
 def read(path):
     return read_validated_yaml(path, Named, what="a thing", remedy="write another")
 
@@ -29,8 +35,10 @@ def test_what_fits_is_read(tmp_path):
         ("name: !!python/object/apply:os.getcwd []", "is not YAML"),
         ("name: 1\n", "name"),
         ("# " + "x" * MAX_BYTES, f"expected a thing of at most {MAX_BYTES}"),
+        (BOMB, "holds more than 10000 values"),
+        ("name: &a [*a]\n", "nested deeper than 32"),
     ],
-    ids=["torn", "deep", "code", "wrong type", "huge"],
+    ids=["torn", "deep", "code", "wrong type", "huge", "bomb of aliases", "within itself"],
 )
 def test_what_does_not_is_refused(tmp_path, content, sentence):
     (tmp_path / "thing.yaml").write_text(content)
