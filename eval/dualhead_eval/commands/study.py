@@ -96,9 +96,12 @@ def run(args: argparse.Namespace) -> int:
         console.print(
             "This is the study's smoke form, a fraction of everything: it shows that it runs, not what is so."
         )
-    done = len(plan.evaluations) - len(verdict.missing)
-    console.print(f"{done} of {len(plan.evaluations)} evaluations are there")
-    for line in missing_lines(verdict.missing):
+    asked, missing = plan.evaluations, verdict.missing
+    console.print(f"{len(asked) - len(missing)} of {len(asked)} evaluations are there")
+    if args.importance is not None:  # name what this call would do; the rest was not asked for
+        asked, missing = ([one for one in several if one.importance <= args.importance] for several in (asked, missing))
+        console.print(f"of importance {args.importance} or more: {len(asked) - len(missing)} of {len(asked)}")
+    for line in missing_lines(missing):
         console.print(f"  {line}")
     if verdict.table is not None:
         figure = verdict.figure or "none, no seed can be read"

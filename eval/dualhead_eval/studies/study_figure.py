@@ -63,10 +63,10 @@ def _forest_figure(cells: Sequence[StudyCell], references: StudyReferences) -> F
             ax.plot([interval.low, interval.high], [row, row], color=OURS, linewidth=1.2)
         printed = paper_row(cell.paper_row).get("rho")
         if printed is not None and printed.value is not None:
-            ax.plot(printed.value, row, "D", color=PAPER, markersize=5, fillstyle="none")
+            ax.plot(printed.value, row, "D", color=PAPER, markersize=5, fillstyle="none", label="paper")
         exact = references.rho(cell)
         if exact is not None:
-            ax.plot(exact, row, "x", color=EXACT, markersize=6)
+            ax.plot(exact, row, "x", color=EXACT, markersize=6, label="exact optimum")
         rates = np.array([run.first.valid_rate for run in cell.runs])
         valid.plot(rates, np.full(rates.size, row), "o", color="0.3", markersize=3, alpha=0.6, markeredgewidth=0)
     ax.axvline(0, color="0.4", linewidth=0.8)
@@ -81,7 +81,7 @@ def _forest_figure(cells: Sequence[StudyCell], references: StudyReferences) -> F
         panel.spines[["top", "right"]].set_visible(False)
         panel.grid(axis="x", color="0.92")
         panel.set_axisbelow(True)
-    _legend(figure)
+    _legend(figure, ax)
     return figure
 
 
@@ -163,12 +163,11 @@ def _percent(axis: object) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: formatter.format_pct(value, 1)))  # type: ignore[attr-defined]
 
 
-def _legend(figure: Figure) -> None:
+def _legend(figure: Figure, axis: Axes) -> None:
+    """Ours, and what else is drawn: a study that the paper did not make has no marks of the paper's."""
     from matplotlib.lines import Line2D
 
-    handles = [
-        Line2D([], [], color=OURS, marker="o", markersize=4, label="ours, seeds"),
-        Line2D([], [], color=PAPER, marker="D", fillstyle="none", linestyle="", label="paper"),
-        Line2D([], [], color=EXACT, marker="x", linestyle="", label="exact optimum"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    ours = Line2D([], [], color=OURS, marker="o", markersize=4)
+    drawn = {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    handles = {"ours, seeds": ours} | drawn
+    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=3, fontsize=8, frameon=False)

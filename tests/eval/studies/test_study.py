@@ -169,7 +169,10 @@ def test_a_short_budget_is_spent_on_what_is_important(copied, capsys):
     assert main(command(copied, "--importance", "1")) == 0  # what is missing has importance 2
     assert not large.exists()
     assert not (copied / "data").exists()
-    assert "11 of 12 evaluations are there" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "11 of 12 evaluations are there" in out
+    assert "of importance 1 or more: 8 of 8" in out
+    assert "missing ring" not in out  # nobody asked for it
     assert main(command(copied, "--importance", "0")) != 0
     assert "--importance 0 is none: give 1" in capsys.readouterr().err
 
