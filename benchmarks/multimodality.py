@@ -30,7 +30,9 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "multimodality"
 IMAGES = ROOT / "docs" / "images"
-BATCH, SEED, LOG_FREQ = 64, 0, 250
+BATCH, SEED, #: A line of `lerobot-train` with its loss.
+LOSS = re.compile(r"step:\S+ .*? loss:(\S+)")
+LOG_FREQ = 64, 0, 250
 #: Constant dimensions (rotations that hold still) would be blown up by a division by their standard deviation.
 MAPPING = json.dumps(dict.fromkeys(["STATE", "ENV", "ACTION"], "MIN_MAX"))
 
@@ -140,11 +142,14 @@ def command(name: str) -> str:
 
 
 def train(entry: Entry, data: Path, budget: Budget) -> None:
-    """Train one policy, unless its run is there."""
+    """Train one policy, from its last checkpoint if it was interrupted; a finished run is kept."""
     runs, steps = budget.runs, budget.steps_of(entry)
     output = runs / entry.name
-    if output.exists():
+    if budget.checkpoint(entry).is_dir():
         print(f"{output} is there: kept")
+        return
+    if output.exists():
+        resume(entry, output, budget)
         return
     runs.mkdir(parents=True, exist_ok=True)
     common = [
@@ -163,13 +168,34 @@ def train(entry: Entry, data: Path, budget: Budget) -> None:
         subprocess.run([sys.executable, script, *entry.flags, *common, *theirs], check=True, stdout=log, stderr=log)
 
 
+def resume(entry: Entry, output: Path, budget: Budget) -> None:
+    """Go on with a training from its last checkpoint."""
+    last = output / "checkpoints" / "last"
+    if not last.is_dir():
+        sys.exit(f"{output} holds no checkpoint to go on from: delete it, and repeat the command")
+    print(f"{output} goes on from step {int(last.resolve().name):,}")
+    if entry.ours:
+        subprocess.run([command("dualhead"), "train", "--resume=true", f"--output_dir={output}"], check=True)
+        return
+    log = budget.runs / f"{entry.name}.log"
+    printed = log.read_text().splitlines(keepends=True)
+    losses = [number for number, line in enumerate(printed, 1) if LOSS.search(line)]
+    done = int(last.resolve().name) // min(LOG_FREQ, budget.steps_of(entry))
+    log.write_text("".join(printed[: losses[done - 1] if done else 0]))  # what came after is trained again
+    script = str(Path(__file__).with_name("lerobot_train_in_memory.py"))
+    config = last / "pretrained_model" / "train_config.json"
+    with log.open("a") as file:
+        again = [sys.executable, script, f"--config_path={config}", "--resume=true"]
+        subprocess.run(again, check=True, stdout=file, stderr=file)
+
+
 def write_training_log(entry: Entry, budget: Budget) -> None:
     """The losses that `lerobot-train` printed, where a gate file's provenance looks for them."""
     target, printed = budget.runs / entry.name / "training_log.jsonl", budget.runs / f"{entry.name}.log"
     every = min(LOG_FREQ, budget.steps_of(entry))
     if entry.ours or target.exists():
         return
-    losses = re.findall(r"step:\S+ .*? loss:(\S+)", printed.read_text())
+    losses = LOSS.findall(printed.read_text())
     lines = [json.dumps({"step": (i + 1) * every, "loss": float(loss)}) for i, loss in enumerate(losses)]
     target.write_text("\n".join(lines) + "\n")
 
