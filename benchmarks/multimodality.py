@@ -30,9 +30,9 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "multimodality"
 IMAGES = ROOT / "docs" / "images"
-BATCH, SEED, #: A line of `lerobot-train` with its loss.
+BATCH, SEED, LOG_FREQ = 64, 0, 250
+#: A line of `lerobot-train` with its loss.
 LOSS = re.compile(r"step:\S+ .*? loss:(\S+)")
-LOG_FREQ = 64, 0, 250
 #: Constant dimensions (rotations that hold still) would be blown up by a division by their standard deviation.
 MAPPING = json.dumps(dict.fromkeys(["STATE", "ENV", "ACTION"], "MIN_MAX"))
 
