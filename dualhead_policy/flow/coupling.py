@@ -65,9 +65,7 @@ def resolve_shared_draws(
         if given is not None and draw is None:
             raise ValueError(f"the policy has no {name} to follow: sample it without coupling.{name}")
     if coupling.token_draw is not None and draw_token is None:
-        raise ValueError(
-            "the policy has no token to draw: leave --token-draw or coupling.token_draw out"
-        )
+        raise ValueError("the policy has no token to draw: leave --token-draw or coupling.token_draw out")
 
     def drawn(token: Tensor | None = None, latent: Tensor | None = None) -> SharedDraws:
         if token is None and draw_token is not None:

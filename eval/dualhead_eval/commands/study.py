@@ -99,7 +99,8 @@ def run(args: argparse.Namespace) -> int:
     asked, missing = plan.evaluations, verdict.missing
     console.print(f"{len(asked) - len(missing)} of {len(asked)} evaluations are there")
     if args.importance is not None:  # name what this call would do; the rest was not asked for
-        asked, missing = ([one for one in several if one.importance <= args.importance] for several in (asked, missing))
+        asked = tuple(one for one in asked if one.importance <= args.importance)
+        missing = [one for one in missing if one.importance <= args.importance]
         console.print(f"of importance {args.importance} or more: {len(asked) - len(missing)} of {len(asked)}")
     for line in missing_lines(missing):
         console.print(f"  {line}")
