@@ -1,30 +1,66 @@
-"""A hook of MkDocs: links of a page to the repository's other files, which a site does not hold, become plain text."""
+"""A hook of MkDocs for the repository's other files: links to them become plain text, pictures come along."""
 
 from __future__ import annotations
 
+import posixpath
 import re
 from pathlib import Path
 from typing import Any
 
+from mkdocs.structure.files import File
+
 ROOT = Path(__file__).parents[1]
+#: Folder of the site for pictures from outside the documentation.
+PICTURES = "pictures"
+_PICTURE = re.compile(r"(!\[[^\]]*\]\()(\.\./[^)\s]+)\)")
 _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((\.\./[^)#\s]+)\)")
 
 
-def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Keep the words of a link that leaves the documentation, and say which file it names.
+def on_files(files: Any, *, config: Any, **_: Any) -> Any:
+    """Take the pictures that pages show from elsewhere in the repository into the site."""
+    shown = {
+        name
+        for page in files.documentation_pages()
+        for _, link in _PICTURE.findall(page.content_string)
+        if (name := _outside(page.src_uri, link)) is not None
+    }
+    for name in sorted(shown):
+        files.append(File.generated(config, f"{PICTURES}/{name}", abs_src_path=str(ROOT / name)))
+    return files
+
+
+def _outside(page: str, link: str) -> str | None:
+    """The file of the repository that a page's link names, or None within the documentation.
 
     Raises:
         FileNotFoundError: If there is no such file: a link is never lost unnoticed.
     """
-    folder = (ROOT / "docs" / page.file.src_uri).parent
+    target = ((ROOT / "docs" / page).parent / link).resolve()
+    if target.is_relative_to(ROOT / "docs"):
+        return None
+    if not target.exists():
+        raise FileNotFoundError(f"{page} links to {link}, which is not there")
+    return target.relative_to(ROOT).as_posix()
+
+
+def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
+    """Keep the words of a link that leaves the documentation, and say which file it names; point pictures at the site's.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+    """
+    source = page.file.src_uri
 
     def plain(link: re.Match[str]) -> str:
-        target = (folder / link[2]).resolve()
-        if target.is_relative_to(ROOT / "docs"):
+        name = _outside(source, link[2])
+        if name is None:
             return link[0]
-        if not target.exists():
-            raise FileNotFoundError(f"{page.file.src_uri} links to {link[2]}, which is not there")
-        name = target.relative_to(ROOT).as_posix()
         return link[1] if name.rstrip("/") in link[1] else f"{link[1]} (`{name}` in the repository)"
 
-    return _LINK.sub(plain, markdown)
+    def taken(picture: re.Match[str]) -> str:
+        name = _outside(source, picture[2])
+        if name is None:
+            return picture[0]
+        return f"{picture[1]}{posixpath.relpath(f'{PICTURES}/{name}', posixpath.dirname(source))})"
+
+    return _LINK.sub(plain, _PICTURE.sub(taken, markdown))
