@@ -44,7 +44,7 @@ def _outside(page: str, link: str) -> str | None:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Keep the words of a link that leaves the documentation, and say which file it names; point pictures at the site's.
+    """Links that leave the documentation keep their words and say which file they name; pictures point at the site's.
 
     Raises:
         FileNotFoundError: If there is no such file.
