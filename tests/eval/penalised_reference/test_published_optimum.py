@@ -10,7 +10,7 @@ from dualhead_eval.gate import read_gate
 from dualhead_eval.statistics.run_summary import summarise_run
 
 FOLDER = Path(__file__).parents[3] / "results" / "optimum"
-GATES = {path.name.removesuffix(".gate.json"): read_gate(path) for path in sorted(FOLDER.glob("*.gate.json"))}
+GATES = {path.name.partition(".gate.json")[0]: read_gate(path) for path in sorted(FOLDER.glob("*.gate.json*"))}
 
 
 @pytest.mark.parametrize("name", GATES)

@@ -13,7 +13,7 @@ RESULTS = Path(__file__).parents[3] / "results" / "v2"
 
 
 def cell(name, step=20_000):
-    gate = read_gate(RESULTS / f"{name}-20k.gate.json")
+    gate = read_gate(RESULTS / f"{name}-20k.gate.json.gz")
     return StudyCell("v2", name, 20_000, step, "frozen", (), (open_run(gate),), (0,))
 
 
@@ -42,5 +42,5 @@ def test_the_oracles_residual_is_all_floor(table):
 
 def test_checkpoints_on_the_way_and_gates_without_residuals_are_not_read():
     assert residual_table([cell("A_independent", step=10_000)]) is None
-    bare = read_gate(RESULTS.parent / "ring" / "D_latent_prior_nullspace.gate.json")
+    bare = read_gate(RESULTS.parent / "ring" / "D_latent_prior_nullspace.gate.json.gz")
     assert residual_table([StudyCell("ring", "D", 6000, 6000, "frozen", (), (open_run(bare),), (0,))]) is None
