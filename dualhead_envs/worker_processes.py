@@ -23,6 +23,21 @@ def interrupts_kept_from_workers() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextmanager
+def workers_ended_afterwards() -> Iterator[None]:
+    """End the worker processes of ``joblib.Parallel`` when the block is left, and what they still do with them.
+
+    Left alone they wait five minutes for more work: they hold their memory, and keep a process that
+    ``multiprocessing`` started from ending.
+    """
+    from joblib.externals.loky import get_reusable_executor
+
+    try:
+        yield
+    finally:
+        get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
+
+
 def end_with(parent: int) -> None:
     """Let this process end soon after ``parent``, the process that started it and may be killed without a word."""
 

@@ -27,7 +27,7 @@ from dualhead_envs.atomic_files import write_atomically
 from dualhead_envs.recording.episode import Episode
 from dualhead_envs.recording.shards import ShardStore
 from dualhead_envs.recording.staging import publish, staging_for
-from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers
+from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers, workers_ended_afterwards
 
 #: Pairs in the paper's data sets (sec:envs): 350/75/75 and 168/36/36.
 DEFAULT_PAIRS = {"BimodalBypass-v2": 500, "RotatingBypass-v3": 240}
@@ -128,7 +128,8 @@ def _simulate(
     attempts = (attempt for attempt in count() if _shard(attempt) not in finished)
     end_with_this = {"initializer": end_with, "initargs": (os.getpid(),)}
     pool = Parallel(workers or _cores(), backend="loky", return_as="generator", batch_size=1, **end_with_this)
-    with tqdm(total=pairs, initial=accepted, unit="pair", desc=env_id, disable=not progress, smoothing=0.05) as bar:
+    bar = tqdm(total=pairs, initial=accepted, unit="pair", desc=env_id, disable=not progress, smoothing=0.05)
+    with workers_ended_afterwards(), bar:
         bar.set_postfix(rejected=rejected)
         # As many as are missing at a time: nothing is simulated in vain, and rejections get another round.
         while accepted < pairs:

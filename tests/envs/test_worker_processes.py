@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from dualhead_envs.worker_processes import interrupts_kept_from_workers
+import pytest
+from joblib import Parallel, delayed
+
+from dualhead_envs.worker_processes import interrupts_kept_from_workers, workers_ended_afterwards
 
 WORKER = """
 import os, time
@@ -36,6 +40,26 @@ def test_a_worker_ends_after_its_parent_was_killed():
     while is_alive(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not is_alive(worker)
+
+
+def test_joblibs_workers_are_gone_after_their_work_and_come_back_for_more():
+    for _ in range(2):
+        with workers_ended_afterwards():
+            workers = set(Parallel(2, backend="loky")(delayed(os.getpid)() for _ in range(4)))
+        assert os.getpid() not in workers
+        assert not any(map(is_alive, workers))
+
+
+def test_joblibs_workers_are_gone_after_an_error():
+    workers = []
+
+    def work_and_fail():
+        workers.extend(Parallel(2, backend="loky")(delayed(os.getpid)() for _ in range(2)))
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"), workers_ended_afterwards():
+        work_and_fail()
+    assert not any(map(is_alive, workers))
 
 
 def test_ctrl_c_reaches_the_parent_and_not_what_it_starts_meanwhile():
