@@ -10,6 +10,8 @@ from lerobot.configs import FeatureType
 
 from dualhead_policy.sampling import TOKEN_DRAWS
 
+#: Beyond it an embedding saturates whatever it enters.
+LARGEST_GAIN = 100.0
 CHOICES = {
     "conditioning": ("film", "concat"),
     "preconditioning": ("auto", "linear_gaussian", "gaussian", "none"),
@@ -97,6 +99,9 @@ def check_values(fields: Mapping[str, Any]) -> None:
         raise ValueError(
             f"policy.optimizer_betas={fields['optimizer_betas']} is outside [0, 1): give two values inside"
         )
+    gain = fields["embedding_gain"]
+    if gain is not None and not 0 < gain <= LARGEST_GAIN:
+        raise ValueError(f"policy.embedding_gain={gain} is outside (0, {LARGEST_GAIN:g}]: give a number inside")
     noise = fields["observation_noise"]
     if noise is not None and not noise >= 0:
         raise ValueError(f"policy.observation_noise={noise} must not be negative: give 0 or more")

@@ -32,6 +32,8 @@ class DualheadConfig(PreTrainedConfig):
         velocity_width: Units in each hidden layer.
         conditioning: ``"film"`` (time and context modulate every layer; trains faster) or ``"concat"`` (the
             paper's construction).
+        embedding_gain: Factor on E(c), of any policy with it. None: 8 for film on a ring of three or more modes, whose
+            tokens stay unread at 1 (docs/choices.md), else 1.
         preconditioning: What the field adds its network to: ``"gaussian"``, the optimal linear velocity of one
             Gaussian of each dimension's scale; ``"linear_gaussian"``, that of the training windows' linear
             regression on the observation (see ``chunk_frame``); ``"none"``, nothing, the paper's bare network;
@@ -93,6 +95,7 @@ class DualheadConfig(PreTrainedConfig):
     velocity_layers: int = 4
     velocity_width: int = 256
     conditioning: str = "film"
+    embedding_gain: float | None = None
     preconditioning: str = "auto"
     time_frequencies: int = 10
 

@@ -39,6 +39,7 @@ class DualheadNetwork(nn.Module):
         token_dim: Size of the token's one-hot code, 0 without tokens.
         width, n_layers, n_frequencies, encoder_dim, conditioning: See ``DualheadConfig``.
         preconditioned: Whether :func:`gaussian_preconditioning` is used.
+        embedding_gain: Factor on E(c).
     """
 
     def __init__(
@@ -54,10 +55,11 @@ class DualheadNetwork(nn.Module):
         n_frequencies: int,
         conditioning: str,
         preconditioned: bool,
+        embedding_gain: float = 1.0,
     ):
         super().__init__()
         self.preconditioned = preconditioned
-        self.encoder = ConditionEncoder(observation_dim, encoder_dim)
+        self.encoder = ConditionEncoder(observation_dim, encoder_dim, embedding_gain)
         self.fields = nn.ModuleDict(
             {
                 head: VelocityField(

@@ -32,14 +32,21 @@ def time_features(time: Tensor, n_frequencies: int) -> Tensor:
 
 
 class ConditionEncoder(nn.Module):
-    """E(c): observation (..., C) -> embedding (..., width), two layers, shared by the heads (sec:heads)."""
+    """E(c): observation (..., C) -> embedding (..., width), two layers, shared by the heads (sec:heads).
 
-    def __init__(self, observation_dim: int, width: int):
+    Args:
+        observation_dim: Size of the observation.
+        width: Size of the embedding.
+        gain: Factor on the embedding; see ``DualheadConfig.embedding_gain``.
+    """
+
+    def __init__(self, observation_dim: int, width: int, gain: float = 1.0):
         super().__init__()
+        self.gain = gain
         self.layers = nn.Sequential(nn.Linear(observation_dim, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
 
     def forward(self, observation: Tensor) -> Tensor:
-        return self.layers(observation)
+        return self.layers(observation) * self.gain
 
 
 class VelocityField(nn.Module):

@@ -37,6 +37,8 @@ RING = ["joint.nullspace.0", "joint.nullspace.1", "position.x", "position.y"]
         ({"consistency_norm": "inches"}, "is not one of"),
         ({"padded_steps": 16}, "must lie in 0"),
         ({"observation_noise": -0.1}, "must not be negative"),
+        ({"embedding_gain": 0.0}, "is outside"),
+        ({"embedding_gain": float("nan")}, "is not a finite number"),
         ({"kinematic_map": "file:arm.urdf"}, "not of the form 'file:PATH#LINK'"),
     ],
 )

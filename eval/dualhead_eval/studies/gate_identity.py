@@ -24,6 +24,8 @@ NO_IDENTITY = (
     "device", "pretrained_path", "seed", "input_features", "output_features", "representation", "dataset_name",
     "environment", "token_nmi", "repo_id", "tags", "private", "license", "push_to_hub",
 )  # fmt: skip
+#: What a policy was before it had the field, where that is not the field's default.
+BEFORE_THE_FIELD = {"embedding_gain": 1.0}
 #: What a configuration may leave open until it meets its data.
 OPEN_VALUES = (None, "auto")
 #: What the flags of a policy begin with.
@@ -115,12 +117,12 @@ def _differences(
 
 
 def _policy_differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Fields in which a policy is another; a field that is younger than the gate counts as its default."""
+    """Fields in which a policy is another; a field that is younger than the gate counts as what it was before."""
     defaults = _defaults()
     for name, value in wanted.items():
         if name in NO_IDENTITY or name not in defaults:
             continue
-        own = found.get(name, defaults[name])
+        own = found.get(name, BEFORE_THE_FIELD.get(name, defaults[name]))
         if value in OPEN_VALUES:
             # What the data fill in is never the value that switches it off.
             if value == "auto" and own == "none":

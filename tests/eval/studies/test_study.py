@@ -248,12 +248,23 @@ def test_a_gate_from_another_machine_is_taken_by_what_it_holds(copied, capsys):
     gate = read_gate(path)
     gate.provenance["run"] |= {"device": "cuda", "precision": "bf16"}
     gate.provenance["training"]["device"] = "cuda"
-    # A field that the policy has gained since is at its default.
+    # A field that the policy has gained since is what it was before.
     gate.provenance["config"].pop("token_positions")
+    gate.provenance["config"].pop("embedding_gain")
     write_gate(gate, path, overwrite=True)
     assert main(command(copied, "--verdict-only")) == 0
     assert "12 of 12" in capsys.readouterr().out
     assert "bf16,cuda" in (copied / "results" / "small" / "table.csv").read_text()
+
+
+def test_a_gate_older_than_the_embeddings_gain_has_a_gain_of_one(copied, capsys):
+    path = copied / "results" / "gates" / "ring" / "A_independent-150" / "seed-0" / "000150-frozen.gate.json.gz"
+    gate = read_gate(path)
+    gate.provenance["config"].pop("embedding_gain")
+    write_gate(gate, path, overwrite=True)
+    study = write_study(copied, flags=STUDY.get("flags", {}) | {"policy.embedding_gain": 8.0})
+    assert main(command(copied, "--verdict-only", study=study)) == 2
+    assert "policy.embedding_gain 1.0, expected 8.0" in capsys.readouterr().err
 
 
 def test_the_store_reads_what_the_plan_asked_for(finished):
