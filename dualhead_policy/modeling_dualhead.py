@@ -19,7 +19,7 @@ from dualhead_envs.recording.shards import write_atomically
 from dualhead_policy.checkpoint_loading import load_strictly
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.decision_hooks import DecisionHooks
-from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin, recorded_modes, resolve_representation
+from dualhead_policy.fitting.configuration import fill_in_defaults, note_origin, resolve_representation
 from dualhead_policy.fitting.scales import fit_scales
 from dualhead_policy.fitting.tokens import new_tokens
 from dualhead_policy.flow.coupling import SharedDraws
@@ -69,9 +69,9 @@ class DualheadPolicy(PreTrainedPolicy):
         config.validate_features()
         is_new = config.representation is None
         self.representation = resolve_representation(config, dataset_meta)
-        fill_in_defaults(config, self.representation, is_new=is_new, n_modes=recorded_modes(dataset_meta))
         if dataset_meta is not None:
             note_origin(config, dataset_meta)
+        fill_in_defaults(config, self.representation, is_new=is_new)
         self.observation_keys = [
             key
             for key, feature in config.input_features.items()

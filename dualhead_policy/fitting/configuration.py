@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from lerobot.utils.constants import ACTION
 
+from dualhead_envs import ENVIRONMENTS
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.representation import RepresentationLayout, require_observations
 
@@ -19,6 +20,9 @@ OBSERVATION_NOISE = 0.05
 #: Gain of the embedding for film on rings of three and more modes. Where these are equally likely, neither mean nor
 #: covariance of the paths depends on the condition: what is left to learn from is its product with the token.
 MANY_MODES_GAIN = 8.0
+RINGS_OF_MANY_MODES = [
+    env_id for env_id, registered in ENVIRONMENTS.items() if registered.get("kwargs", {}).get("n_modes", 0) > 2
+]
 
 
 def resolve_representation(config: DualheadConfig, dataset_meta: Any | None) -> RepresentationLayout:
@@ -64,21 +68,18 @@ def resolve_representation(config: DualheadConfig, dataset_meta: Any | None) -> 
     return layout
 
 
-def fill_in_defaults(
-    config: DualheadConfig, layout: RepresentationLayout, *, is_new: bool, n_modes: int | None
-) -> None:
-    """Set what depends on the layout and the data; on the ring an episode is one chunk, on robots it is many.
+def fill_in_defaults(config: DualheadConfig, layout: RepresentationLayout, *, is_new: bool) -> None:
+    """Set what depends on layout and environment; on the ring an episode is one chunk, on robots it is many.
 
     Args:
-        config: The policy's configuration.
+        config: The policy's configuration, its ``environment`` noted.
         layout: Its layout.
         is_new: Whether the policy is new, not a checkpoint's.
-        n_modes: Modes of the training data, if it says.
     """
     on_ring = layout.ring_map is not None
     if config.embedding_gain is None:
         # A checkpoint that does not say is older than the field.
-        many = is_new and on_ring and n_modes is not None and n_modes > 2
+        many = is_new and config.environment in RINGS_OF_MANY_MODES
         config.embedding_gain = MANY_MODES_GAIN if many and config.conditioning == "film" else 1.0
     if config.n_action_steps is None:
         config.n_action_steps = config.chunk_size if on_ring else min(ROBOT_ACTION_STEPS, config.chunk_size)
@@ -92,25 +93,11 @@ def fill_in_defaults(
         config.seed = torch.initial_seed() % 2**31
 
 
-def recorded_modes(dataset_meta: Any | None) -> int | None:
-    """Number of modes of a recording's partition; None where there is none."""
-    if dataset_meta is None:
-        return None
-    partition = _sidecar(dataset_meta).get("partition")
-    n_modes = partition.get("n_modes") if isinstance(partition, dict) else None
-    return n_modes if isinstance(n_modes, int) else None
-
-
-def _sidecar(dataset_meta: Any) -> dict[str, Any]:
-    path = Path(dataset_meta.root) / "meta" / "dualhead.json"
-    content: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
-    return content
-
-
 def note_origin(config: DualheadConfig, dataset_meta: Any) -> None:
     """Write down which dataset, and which environment behind it, a policy is trained on."""
     config.dataset_name = dataset_meta.repo_id
-    config.environment = _sidecar(dataset_meta).get("env_id")
+    sidecar = Path(dataset_meta.root) / "meta" / "dualhead.json"
+    config.environment = json.loads(sidecar.read_text()).get("env_id") if sidecar.is_file() else None
 
 
 def normalized_dimensions(config: DualheadConfig, layout: RepresentationLayout) -> list[bool]:

@@ -65,7 +65,7 @@ class DualheadModel(nn.Module):
             n_frequencies=config.time_frequencies,
             conditioning=config.conditioning,
             preconditioned=config.preconditioning != "none",
-            embedding_gain=1.0 if config.embedding_gain is None else config.embedding_gain,
+            embedding_gain=config.embedding_gain or 1.0,
         )
         inferred = sum(chunk_dims.values()) + config.encoder_dim if config.latent == "posterior" else 0
         self.shared_latent = SharedLatent(config.latent_dim, inferred) if config.latent else None

@@ -55,7 +55,7 @@ class DualheadNetwork(nn.Module):
         n_frequencies: int,
         conditioning: str,
         preconditioned: bool,
-        embedding_gain: float = 1.0,
+        embedding_gain: float,
     ):
         super().__init__()
         self.preconditioned = preconditioned

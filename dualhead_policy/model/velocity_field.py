@@ -40,7 +40,7 @@ class ConditionEncoder(nn.Module):
         gain: Factor on the embedding; see ``DualheadConfig.embedding_gain``.
     """
 
-    def __init__(self, observation_dim: int, width: int, gain: float = 1.0):
+    def __init__(self, observation_dim: int, width: int, gain: float):
         super().__init__()
         self.gain = gain
         self.layers = nn.Sequential(nn.Linear(observation_dim, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())

@@ -8,9 +8,10 @@ import pytest
 
 from dualhead_eval.gate import read_gate
 from dualhead_eval.statistics.run_summary import summarise_run
+from dualhead_eval.studies.study_plan import GATE_SUFFIX
 
 FOLDER = Path(__file__).parents[3] / "results" / "optimum"
-GATES = {path.name.partition(".gate.json")[0]: read_gate(path) for path in sorted(FOLDER.glob("*.gate.json*"))}
+GATES = {path.name.removesuffix(GATE_SUFFIX): read_gate(path) for path in sorted(FOLDER.glob("*" + GATE_SUFFIX))}
 
 
 @pytest.mark.parametrize("name", GATES)

@@ -262,7 +262,7 @@ def test_a_gate_older_than_the_embeddings_gain_has_a_gain_of_one(copied, capsys)
     gate = read_gate(path)
     gate.provenance["config"].pop("embedding_gain")
     write_gate(gate, path, overwrite=True)
-    study = write_study(copied, flags=STUDY.get("flags", {}) | {"policy.embedding_gain": 8.0})
+    study = write_study(copied, flags=STUDY["flags"] | {"policy.embedding_gain": 8.0})
     assert main(command(copied, "--verdict-only", study=study)) == 2
     assert "policy.embedding_gain 1.0, expected 8.0" in capsys.readouterr().err
 
