@@ -14,8 +14,10 @@ from dualhead_envs.validated_json import shown
 from dualhead_policy.hub_folder import file_inside
 
 
-def load_strictly(model: nn.Module, model_file: str | Path, device: str) -> None:
+def load_strictly(model: nn.Module, model_file: str | Path) -> None:
     """Load every tensor of ``model_file`` into ``model``; one that has several names there is held under any of them.
+
+    The file is read and checked on the CPU, whichever device the model is on.
 
     Raises:
         FileNotFoundError: If the file is missing.
@@ -24,12 +26,12 @@ def load_strictly(model: nn.Module, model_file: str | Path, device: str) -> None
     """
     path = file_inside(Path(model_file).parent, Path(model_file).name)
     try:
-        tensors = load_file(path, device=str(device))
+        tensors = load_file(path)
     except SafetensorError as error:
         raise ValueError(
             f"{path} is not a readable safetensors file: it may be truncated; copy it again or load another checkpoint"
         ) from error
-    own = model.state_dict()
+    own = {name: value.cpu() for name, value in model.state_dict().items()}
     missing = sorted(missing_tensors(model, tensors))
     unexpected = sorted(set(tensors) - set(own))
     reshaped = sorted(

@@ -100,7 +100,7 @@ class DualheadPolicy(PreTrainedPolicy):
         policy: DualheadPolicy = model
         scales = policy.model.scales
         fitted = {name: buffer.clone() for name, buffer in scales.named_buffers()}
-        load_strictly(policy, model_file, map_location)
+        load_strictly(policy, model_file)
         policy.model.kinematics = KinematicMap.load(policy.representation.kinematic_map, Path(model_file).parent)
         if policy.config.statistics == "replace":
             scales.load_state_dict(fitted)

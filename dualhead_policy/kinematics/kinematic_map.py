@@ -117,7 +117,16 @@ def _ring_position(name: str) -> PositionMap:
     ring_map = REPRESENTATION_MAPS[name]
     if isinstance(ring_map, LinearMap):
         matrix = torch.from_numpy(ring_map.matrix)
-        return lambda values: values @ matrix.to(values)
+        # A recorded CUDA graph cannot copy from the host: the matrix is brought to a device once, before recording.
+        held: dict[tuple[torch.device, torch.dtype], Tensor] = {}
+
+        def linear(values: Tensor) -> Tensor:
+            place = (values.device, values.dtype)
+            if place not in held:
+                held[place] = matrix.to(*place)
+            return values @ held[place]
+
+        return linear
     assert isinstance(ring_map, PolarMap)
 
     def polar(values: Tensor) -> Tensor:

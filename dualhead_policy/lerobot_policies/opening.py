@@ -62,7 +62,7 @@ def _open(folder: Path, device: str) -> ChunkPolicy:
     weights = file_inside(folder, WEIGHTS)
     _check_shapes(policy_class, config, weights)
     policy = _made(policy_class, config, folder)
-    load_strictly(policy, weights, device)
+    load_strictly(policy, weights)
     processors = load_steps(folder, config)
     policy.to(device).eval()
     return ChunkPolicy(policy, *processors, policy_type)

@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--runs", type=Path, help="folder of the training runs (default: outputs/studies)")
     parser.add_argument("--jobs", type=int, default=2, help="groups of runs or evaluations at a time (default: 2)")
+    parser.add_argument("--stack", type=int, default=16, help="runs that train as one program at most (default: 16)")
     parser.add_argument("--precision", choices=["fp32", "tf32", "bf16"], default="fp32", help="as in `dualhead sweep`")
     parser.add_argument(
         "--importance", type=int, metavar="N", help="only what the study counts as this important or more (1: first)"
@@ -50,8 +51,9 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: If there is no such study.
         ValueError: If it contradicts itself, or a gate file is not what it asks for.
     """
-    if args.jobs < 1:
-        raise ValueError(f"--jobs {args.jobs} is not positive: give at least 1")
+    for name in ("jobs", "stack"):
+        if getattr(args, name) < 1:
+            raise ValueError(f"--{name} {getattr(args, name)} is not positive: give at least 1")
     if args.importance is not None and args.importance < 1:
         raise ValueError(f"--importance {args.importance} is none: give 1 for what comes first, up to 9 for everything")
     from dualhead_eval.studies.study_file import read_study
@@ -82,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
             args.runs or (scratch / "runs" if smoke else Path("outputs") / "studies"),
             folders.gates,
             jobs=args.jobs,
+            stack=args.stack,
             precision=args.precision,
             show_progress=not args.no_progress,
         )
@@ -104,6 +107,12 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"of importance {args.importance} or more: {len(asked) - len(missing)} of {len(asked)}")
     for line in missing_lines(missing):
         console.print(f"  {line}")
+    for dataset, fingerprints in verdict.recordings.items():
+        if len(fingerprints) > 1:
+            console.print(
+                f"{dataset}: the same demonstrations recorded on {len(fingerprints)} kinds of processor, which differ "
+                f"in their last bits (training_fingerprint in the table: {', '.join(x[:8] for x in fingerprints)})"
+            )
     if verdict.table is not None:
         figure = verdict.figure or "none, no seed can be read"
         console.print(f"table:  {verdict.table}\nfigure: {figure}\ngates:  {folders.gates}")

@@ -18,9 +18,6 @@ from dualhead_eval.studies.gate_store import GateStore
 from dualhead_eval.studies.study_file import StudyDataset
 from dualhead_eval.studies.study_plan import StudyEvaluation, StudyPlan, StudyRun
 
-#: Runs of a sweep that train as one program at most.
-STACK = 16
-
 
 @dataclass(frozen=True)
 class Workplace:
@@ -31,6 +28,7 @@ class Workplace:
         runs: Folder of the sweep that trains its runs.
         gates: Folder of its gate files.
         jobs: Groups of runs, or evaluations, at a time.
+        stack: Runs that train as one program at most.
         precision: Type in which the velocity fields compute in training.
         show_progress: Whether to draw bars.
     """
@@ -39,6 +37,7 @@ class Workplace:
     runs: Path
     gates: Path
     jobs: int = 2
+    stack: int = 16
     precision: str = "fp32"
     show_progress: bool = True
 
@@ -107,7 +106,7 @@ def _train(runs: Sequence[StudyRun], place: Workplace) -> None:
         [run.sweep_run(place.data) for run in runs],
         place.runs,
         jobs=place.jobs,
-        size=STACK,
+        size=place.stack,
         precision=place.precision,
         show_progress=place.show_progress,
     )
@@ -150,7 +149,7 @@ def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace
         torch.set_num_threads(1)
     folder = place.checkpoint(evaluation.run, evaluation.step)
     origin = window_origin(folder.parent)
-    sampler = open_policy(folder)
+    sampler = open_policy(folder, device="cuda" if torch.cuda.is_available() else "cpu")
     evaluate_study_run(
         evaluation,
         plan.bank(evaluation),

@@ -241,6 +241,23 @@ def test_a_gate_of_another_run_or_recording_is_refused(copied, capsys):
     write_gate(replace(gate, provenance=changed), second, overwrite=True)
     assert main(command(copied, "--verdict-only")) == 2
     assert "expected one recording of ring" in capsys.readouterr().err
+    # Another training split and other states: another recording, not another processor's.
+    changed["run"]["training_data"] = "0" * 64
+    write_gate(replace(gate, provenance=changed, conditions=gate.conditions + 0.01), second, overwrite=True)
+    assert main(command(copied, "--verdict-only")) == 2
+    assert "expected one recording of ring" in capsys.readouterr().err
+
+
+def test_demonstrations_recorded_on_another_processor_are_the_same_demonstrations(copied, capsys):
+    path = copied / "results" / "gates" / "ring" / "A_independent-150" / "seed-1" / "000150-frozen.gate.json.gz"
+    gate = read_gate(path)
+    gate.provenance["dataset"]["fingerprint"] = gate.provenance["run"]["training_data"] = "0" * 64
+    last_bits = gate.conditions * (1 + 1e-12)
+    write_gate(replace(gate, conditions=last_bits), path, overwrite=True)
+    assert main(command(copied, "--verdict-only")) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "12 of 12" in said
+    assert "ring: the same demonstrations recorded on 2 kinds of processor" in said
 
 
 def test_a_gate_from_another_machine_is_taken_by_what_it_holds(copied, capsys):

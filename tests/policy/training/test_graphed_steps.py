@@ -81,6 +81,9 @@ def test_blocks_hold_what_each_run_draws(ring_data, tmp_path):
 @pytest.mark.cuda
 @pytest.mark.parametrize("mechanism", MECHANISMS)
 def test_recorded_steps_on_cuda_learn_what_a_cpu_learns(ring_data, tmp_path, mechanism):
+    assert torch.cuda.is_available(), (
+        "LeRobot takes the CPU where there is no GPU, and the comparison would be with itself"
+    )
     flags = MECHANISMS[mechanism]
     host = StackedTraining(build(ring_data, tmp_path / "cpu", flags, steps=40))
     device = StackedTraining(build(ring_data, tmp_path / "cuda", flags, steps=40, device="cuda"))
@@ -89,3 +92,30 @@ def test_recorded_steps_on_cuda_learn_what_a_cpu_learns(ring_data, tmp_path, mec
     finally:
         device.close()
     torch.testing.assert_close(theirs, host.updates(30), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("representation", ["nullspace", "polar"])
+def test_a_ring_policy_trains_on_cuda_and_opens_there_again(tmp_path, representation):
+    from dualhead_envs.record import record
+    from dualhead_eval.evaluation.conditions import open_conditions
+    from dualhead_eval.evaluation.samplers import open_policy
+    from dualhead_policy.sampling import SamplingCoupling
+    from dualhead_policy.training.sweep.run_sweep import run_sweep
+    from dualhead_policy.training.sweep.sweep_file import SweepRun
+
+    assert torch.cuda.is_available(), "this needs an NVIDIA GPU"
+    sizes = {"episodes": 60, "conditions": 2, "env_kwargs": {"representation": representation}, "progress": False}
+    data = record("RotatingRing-v2", tmp_path / "data", **sizes)
+    flags = ["--policy.consistency_weight=3", "--policy.device=cuda", *SMALL, "--steps=4", "--save_freq=4"]
+    runs = [
+        SweepRun(f"ring/G/seed-{seed}", str(data / "train"), seed, (f"--dataset.root={data / 'train'}", *flags))
+        for seed in (0, 1)
+    ]
+    run_sweep(runs, tmp_path / "runs", jobs=1, size=2, precision="fp32", show_progress=False)
+    conditions, policy = open_conditions(data / "test"), tmp_path / "runs" / "ring" / "G" / "seed-1"
+    sampled = [
+        open_policy(policy, device=device).sample(conditions, 3, 20, SamplingCoupling(), seed=0)
+        for device in ("cpu", "cuda")
+    ]
+    torch.testing.assert_close(sampled[1].joint.cpu(), sampled[0].joint, rtol=1e-4, atol=1e-4)
