@@ -31,9 +31,13 @@ def draw_study(cells: Sequence[StudyCell], references: StudyReferences, path: Pa
     figure = study_figure(cells, references)
     from io import BytesIO
 
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    write_bytes(path, buffer.getvalue())
+    from PIL import Image
+
+    drawn, small = BytesIO(), BytesIO()
+    figure.savefig(drawn, format="png", metadata={"Software": None})
+    # A chart has few colours: a palette makes the file three times smaller.
+    Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+    write_bytes(path, small.getvalue())
 
 
 def study_figure(cells: Sequence[StudyCell], references: StudyReferences) -> Figure:
