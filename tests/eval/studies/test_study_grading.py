@@ -120,6 +120,20 @@ def test_capacity_against_the_targets_own(cell):
     assert graded([skewed], near | {"within": None, "at_least": 0.8, "of": "maximum"}).grade == "does not hold"
 
 
+def test_rows_of_different_budgets_are_not_compared(cell):
+    short, base, longer = (
+        cell("G", [0.4, 0.42, 0.38]),
+        cell("B", [0.0, 0.02, -0.02]),
+        cell("G", [0.9, 0.92, 0.88], budget=5000),
+    )
+    criterion = {"test": "difference", "rows": ["G"], "baseline": ["B"]}
+    said = graded([short, longer, base], criterion).cells
+    assert said == graded([short, base], criterion).cells
+    assert graded([longer, base], criterion).cells == ()
+    ladder = {"test": "monotone", "rows": ["B", "G"]}
+    assert graded([short, longer, base], ladder).cells == graded([short, base], ladder).cells
+
+
 def test_a_difference_needs_its_effect_and_its_cost(cell):
     criterion = {"test": "difference", "rows": ["G"], "baseline": ["B"]}
     base = cell("B", [0, 0, 0], valid=1.0)

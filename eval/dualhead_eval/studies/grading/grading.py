@@ -123,8 +123,7 @@ class _Grader:
                         yield comparisons.grade_accounts(rows, found[0], found[1], criterion.share)
             case MonotoneCriterion():
                 for dataset in self.datasets:
-                    ladder = [self._row(dataset, row) for row in criterion.rows]
-                    rungs = [cell for cell in ladder if cell is not None]
+                    rungs = self._of_one_budget(dataset, criterion.rows, self.first_bank)
                     if len(rungs) > 1:
                         yield comparisons.grade_monotone(rungs)
             case InteractionCriterion():
@@ -167,8 +166,8 @@ class _Grader:
                     yield pair
 
     def _pair(self, dataset: str, row: str, baseline: str, bank: str) -> tuple[StudyCell, StudyCell] | None:
-        first, second = self._row(dataset, row, bank=bank), self._row(dataset, baseline, bank=bank)
-        return None if first is None or second is None else (first, second)
+        both = self._of_one_budget(dataset, [row, baseline], bank)
+        return (both[0], both[1]) if len(both) == 2 else None
 
     def _rows(self, rows: Sequence[str], *, every: bool = False) -> Iterable[StudyCell]:
         """Cells of some rows on the criterion's datasets: the end of the longest runs, or every one."""
@@ -184,6 +183,18 @@ class _Grader:
         found = self._of(dataset, row, bank or self.first_bank)
         found = [cell for cell in found if (cell.final if step is None else cell.step == step)]
         return self._use(max(found, key=lambda cell: cell.budget)) if found else None
+
+    def _of_one_budget(self, dataset: str, rows: Sequence[str], bank: str) -> list[StudyCell]:
+        """The ends of the rows' runs, in their order, at the longest budget that most of the rows have.
+
+        Rows of different budgets are not compared: what they differ in could be the budget.
+        """
+        ends = [{cell.budget: cell for cell in self._of(dataset, row, bank) if cell.final} for row in rows]
+        budgets = {budget for row in ends for budget in row}
+        if not budgets:
+            return []
+        chosen = max(budgets, key=lambda budget: (sum(budget in row for row in ends), budget))
+        return [self._use(row[chosen]) for row in ends if chosen in row]
 
     def _of(self, dataset: str, row: str, bank: str) -> list[StudyCell]:
         return [cell for cell in self.cells if (cell.dataset, cell.configuration, cell.bank) == (dataset, row, bank)]
