@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dualhead_eval.atomic_text import write_text
-from dualhead_eval.studies.gate_store import GateStore, recordings
+from dualhead_eval.studies.gate_store import GateStore
 from dualhead_eval.studies.grading import StudyGrade, grade_study
 from dualhead_eval.studies.study_cells import StudyCell, study_cells
 from dualhead_eval.studies.study_file import StudyFile
@@ -57,8 +57,6 @@ class StudyVerdict:
         grades: Its criteria.
         missing: Evaluations without a gate file.
         references: The exact references at hand.
-        recordings: By dataset, fingerprints of the training splits behind the gates: one, or another for every kind of
-            processor that recorded the demonstrations.
         table, figure: Its files; None where no gate is there, and no figure where no seed can be read.
     """
 
@@ -66,7 +64,6 @@ class StudyVerdict:
     grades: list[StudyGrade]
     missing: list[StudyEvaluation]
     references: StudyReferences
-    recordings: dict[str, list[str]]
     table: Path | None
     figure: Path | None
 
@@ -85,8 +82,7 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
     """
     store = GateStore(folders.gates)
     missing = store.missing(plan)
-    results = store.results(plan)
-    cells = study_cells(plan, results)
+    cells = study_cells(plan, store.results(plan))
     write_missing_references(plan, data, folders.references)
     references = StudyReferences([folders.references, OPTIMA])
     grades = grade_study(study, cells, references.rho)
@@ -101,7 +97,7 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
                 from dualhead_eval.studies.study_figure import draw_study
 
                 draw_study(cells, references, figure)
-    return StudyVerdict(cells, grades, missing, references, recordings(results), table, figure)
+    return StudyVerdict(cells, grades, missing, references, table, figure)
 
 
 def missing_lines(missing: list[StudyEvaluation]) -> list[str]:

@@ -132,6 +132,9 @@ def test_rows_of_different_budgets_are_not_compared(cell):
     assert graded([longer, base], criterion).cells == ()
     ladder = {"test": "monotone", "rows": ["B", "G"]}
     assert graded([short, longer, base], ladder).cells == graded([short, base], ladder).cells
+    share = {"test": "accounts", "rows": ["X"], "whole": "G", "baseline": ["B"], "share": 0.5}
+    half = cell("X", [0.3, 0.32, 0.28])
+    assert graded([short, longer, base, half], share).cells == graded([short, base, half], share).cells
 
 
 def test_a_difference_needs_its_effect_and_its_cost(cell):

@@ -116,11 +116,13 @@ class _Grader:
                 for cell, baseline in self._against(criterion.baseline):
                     yield comparisons.grade_repairs(cell, baseline)
             case AccountsCriterion():
+                names = [criterion.whole, criterion.baseline[0], *criterion.rows]
                 for dataset in self.datasets:
-                    found = self._row(dataset, criterion.whole), self._row(dataset, criterion.baseline[0])
-                    if found[0] is not None and found[1] is not None:
-                        rows = [cell for cell in self._rows(criterion.rows) if cell.dataset == dataset]
-                        yield comparisons.grade_accounts(rows, found[0], found[1], criterion.share)
+                    compared = self._of_one_budget(dataset, names, self.first_bank)
+                    found = {cell.configuration: cell for cell in compared}
+                    if names[0] in found and names[1] in found:
+                        rows = [found[row] for row in criterion.rows if row in found]
+                        yield comparisons.grade_accounts(rows, found[names[0]], found[names[1]], criterion.share)
             case MonotoneCriterion():
                 for dataset in self.datasets:
                     rungs = self._of_one_budget(dataset, criterion.rows, self.first_bank)
