@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from dualhead_eval.commands.console import open_console
+from dualhead_eval.commands.counts import require_counts
 
 DESCRIPTION = """\
 Record demonstrations, train a handful of policies, evaluate them beside the exact reference, and print one table
@@ -39,8 +40,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         FileExistsError: If the output folder holds something else.
     """
-    if args.jobs < 1:
-        raise ValueError(f"--jobs {args.jobs} is not positive: give at least 1")
+    require_counts(args, "jobs")
     from rich.console import Console
 
     Console(stderr=True).print("Starting: importing the libraries takes a few seconds.", style="dim")

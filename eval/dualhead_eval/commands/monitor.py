@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands import monitor_attach, monitor_converse, monitor_regimes, monitor_study
+from dualhead_eval.commands.counts import require_counts
 
 if TYPE_CHECKING:
     from dualhead_eval.monitor.decision import Episode
@@ -205,8 +206,7 @@ def _report(args: argparse.Namespace) -> int:
     from dualhead_eval.report.monitor_tables import measure_all, monitor_tables
     from dualhead_eval.report.terminal import render_table
 
-    if args.draws < 1:
-        raise ValueError(f"--draws {args.draws} is not positive: give at least 1")
+    require_counts(args, "draws")
     labels = [path.name.partition(".")[0] for path in args.scores]
     if len(set(labels)) < len(labels):
         raise ValueError(f"two files have one name ({', '.join(labels)}), expected a name each: rename one")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dualhead_eval.commands.console import open_console
+from dualhead_eval.commands.counts import require_counts
 
 if TYPE_CHECKING:
     from dualhead_eval.studies.monitor.converse.protocol import ConverseBudget, Run
@@ -68,8 +69,7 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: If there is nothing to grade.
         ValueError: If an option is unusable or a training failed.
     """
-    if args.jobs < 1:
-        raise ValueError(f"--jobs {args.jobs} is not positive: give at least 1")
+    require_counts(args, "jobs")
     if args.figure is not None and args.figure.suffix != ".png":
         raise ValueError(f"--figure {args.figure} should end in .png")
     from dualhead_eval.atomic_text import write_bytes

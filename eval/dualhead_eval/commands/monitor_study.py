@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands.console import open_console
+from dualhead_eval.commands.counts import require_counts
 
 if TYPE_CHECKING:
     from dualhead_eval.studies.monitor.conclusions import Conclusions
@@ -62,8 +63,7 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: If a folder that is given does not exist.
         ValueError: If an option is unusable, or no arm is there.
     """
-    if args.jobs < 1:
-        raise ValueError(f"--jobs {args.jobs} is not positive: give at least 1")
+    require_counts(args, "jobs")
     for name in ("data", "arms", "executor", "beside"):
         given = getattr(args, name)
         if given is not None and not given.is_dir():

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from dualhead_eval.commands.console import open_console
+from dualhead_eval.commands.counts import require_counts
 
 DESCRIPTION = """\
 Run a study: train what is missing, evaluate every checkpoint that it asks for, and say what it shows beside the
@@ -51,9 +52,7 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: If there is no such study.
         ValueError: If it contradicts itself, or a gate file is not what it asks for.
     """
-    for name in ("jobs", "stack"):
-        if getattr(args, name) < 1:
-            raise ValueError(f"--{name} {getattr(args, name)} is not positive: give at least 1")
+    require_counts(args, "jobs", "stack")
     if args.importance is not None and args.importance < 1:
         raise ValueError(f"--importance {args.importance} is none: give 1 for what comes first, up to 9 for everything")
     from dualhead_eval.studies.study_file import read_study
@@ -69,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
 
     quiet_libraries()
     from dualhead_eval.report.terminal import render_table
+    from dualhead_eval.studies.gate_store import recordings
     from dualhead_eval.studies.residual_table import residual_table
     from dualhead_eval.studies.study import StudyFolders, judge_study, missing_lines
     from dualhead_eval.studies.study_verdict import cells_table, grades_table
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"of importance {args.importance} or more: {len(asked) - len(missing)} of {len(asked)}")
     for line in missing_lines(missing):
         console.print(f"  {line}")
-    for dataset, fingerprints in verdict.recordings.items():
+    for dataset, fingerprints in recordings(result for cell in verdict.cells for result in cell.results).items():
         if len(fingerprints) > 1:
             console.print(
                 f"{dataset}: the same demonstrations recorded on {len(fingerprints)} kinds of processor, which differ "

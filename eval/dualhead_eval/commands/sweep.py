@@ -6,6 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from dualhead_eval.commands.counts import require_counts
+
 DESCRIPTION = """\
 Train every configuration of a YAML file with every seed on every dataset. Runs whose tensors have the same shapes
 train as one program; each leaves the checkpoints and the log that `dualhead train` would have left. Repeat the
@@ -48,9 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train what is missing and say what there is."""
-    for name in ("jobs", "stack"):
-        if getattr(args, name) < 1:
-            raise ValueError(f"--{name} {getattr(args, name)} is not positive: give at least 1")
+    require_counts(args, "jobs", "stack")
     from dualhead_policy.quiet import quiet_libraries
 
     quiet_libraries()

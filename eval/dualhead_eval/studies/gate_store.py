@@ -7,7 +7,7 @@ for result in study_results("results/studies/gates"):
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,7 +134,7 @@ def training_data(gate: Gate) -> str:
     return str((gate.provenance.get("run") or {}).get("training_data", ""))
 
 
-def recordings(results: Sequence[StudyResult]) -> dict[str, list[str]]:
+def recordings(results: Iterable[StudyResult]) -> dict[str, list[str]]:
     """By dataset, the fingerprints of the training splits behind its results, in the order of the results."""
     found: dict[str, dict[str, None]] = {}
     for result in results:
