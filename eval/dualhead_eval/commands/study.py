@@ -68,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
 
     quiet_libraries()
     from dualhead_eval.report.terminal import render_table
+    from dualhead_eval.studies.closed_loop_table import closed_loop_table
     from dualhead_eval.studies.gate_store import recordings
     from dualhead_eval.studies.residual_table import residual_table
     from dualhead_eval.studies.study import StudyFolders, judge_study, missing_lines
@@ -83,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
             data,
             args.runs or (scratch / "runs" if smoke else Path("outputs") / "studies"),
             folders.gates,
+            folders.closed_loops,
             jobs=args.jobs,
             stack=args.stack,
             precision=args.precision,
@@ -94,18 +96,23 @@ def run(args: argparse.Namespace) -> int:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))
     if (residuals := residual_table(verdict.cells)) is not None:
         console.print(render_table(residuals))
+    if (driven := closed_loop_table(verdict.loops)) is not None:
+        console.print(render_table(driven))
     console.print(render_table(grades_table(verdict.grades, study.question)))
     if smoke:
         console.print(
             "This is the study's smoke form, a fraction of everything: it shows that it runs, not what is so."
         )
-    asked, missing = plan.evaluations, verdict.missing
+    asked, missing, loops = plan.evaluations, verdict.missing, verdict.missing_loops
     console.print(f"{len(asked) - len(missing)} of {len(asked)} evaluations are there")
+    if plan.loops:
+        console.print(f"{len(plan.loops) - len(loops)} of {len(plan.loops)} closed loops are there")
     if args.importance is not None:  # name what this call would do; the rest was not asked for
         asked = tuple(one for one in asked if one.importance <= args.importance)
         missing = [one for one in missing if one.importance <= args.importance]
+        loops = [one for one in loops if one.importance <= args.importance]
         console.print(f"of importance {args.importance} or more: {len(asked) - len(missing)} of {len(asked)}")
-    for line in missing_lines(missing):
+    for line in missing_lines(missing, loops):
         console.print(f"  {line}")
     for dataset, fingerprints in recordings(result for cell in verdict.cells for result in cell.results).items():
         if len(fingerprints) > 1:

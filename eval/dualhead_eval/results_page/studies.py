@@ -6,6 +6,8 @@ from pathlib import Path
 
 from dualhead_eval.report.table import Cell, Table
 from dualhead_eval.results_page.template import markdown_table
+from dualhead_eval.studies.closed_loop_store import ClosedLoopStore
+from dualhead_eval.studies.closed_loop_table import closed_loop_table
 from dualhead_eval.studies.gate_store import GateStore
 from dualhead_eval.studies.grading import grade_study
 from dualhead_eval.studies.residual_table import residual_table
@@ -43,7 +45,8 @@ def _section(path: Path) -> str:
         return ""
     references = StudyReferences([folders.references, OPTIMA])
     cell_lines = cells_table(cells, references, study.title)
-    grade_lines = grades_table(grade_study(study, cells, references.rho), study.question)
+    loops = ClosedLoopStore(folders.closed_loops).results(plan)
+    grade_lines = grades_table(grade_study(study, cells, references.rho, loops), study.question)
     done = len(plan.evaluations) - len(store.missing(plan))
     parts = [
         f"### {study.title}",
@@ -53,6 +56,8 @@ def _section(path: Path) -> str:
         _markdown(cell_lines),
         _markdown(grade_lines),
     ]
+    if (driven := closed_loop_table(loops)) is not None:
+        parts += [f"{driven.title} ({driven.scope}):", _markdown(driven)]
     if (residuals := residual_table(cells)) is not None:
         parts += [f"{residuals.title} ({residuals.scope}):", _markdown(residuals)]
     if grade_lines.notes:

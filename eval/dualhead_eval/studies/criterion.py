@@ -195,6 +195,19 @@ class RepairsCriterion(CriterionBase):
     baseline: Rows
 
 
+class ClosedLoopCriterion(CriterionBase):
+    """Success in closed loop, loop by loop: Wilson's lower end over all episodes, and over those of every way.
+
+    Attributes:
+        at_least: Bound over all episodes.
+        each_way_at_least: Bound over the episodes of each mode; a mode that no episode took is not driven.
+    """
+
+    test: Literal["closed_loop"]
+    at_least: Share
+    each_way_at_least: Share
+
+
 Criterion = Annotated[
     EquivalenceCriterion
     | SignsCriterion
@@ -213,6 +226,7 @@ Criterion = Annotated[
     | TrendCriterion
     | OrderCriterion
     | MinimumCriterion
-    | RepairsCriterion,
+    | RepairsCriterion
+    | ClosedLoopCriterion,
     Field(discriminator="test"),
 ]

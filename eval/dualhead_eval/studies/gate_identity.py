@@ -1,4 +1,4 @@
-"""Whether a gate file is the evaluation that a study asks for: configuration, training, conditions and protocol.
+"""Whether a file of results is what a study asks for: configuration, training, conditions and protocol.
 
 A study knows its results by their content, not by who made them: a gate that another machine wrote is taken, one of
 another configuration, budget, partition or protocol is refused, whatever its name.
@@ -6,6 +6,7 @@ another configuration, budget, partition or protocol is refused, whatever its na
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
@@ -17,7 +18,7 @@ import yaml
 from dualhead_eval.evaluation.protocol import described_coupling
 from dualhead_eval.gate import Gate
 from dualhead_eval.studies.study_file import Bank, StudyDataset
-from dualhead_eval.studies.study_plan import StudyEvaluation, StudyRun
+from dualhead_eval.studies.study_plan import StudyEvaluation, StudyLoop, StudyRun
 
 #: Fields of a policy's configuration that say nothing of what it is, or that its data fill in.
 NO_IDENTITY = (
@@ -79,26 +80,17 @@ def refuse_other_evaluation(
         ValueError: In one sentence that names the first difference.
     """
     for what, found, wanted in _differences(gate, evaluation, bank, dataset, policy):
-        raise ValueError(
-            f"{source} is not what the study asks for: it has {what} {found!r}, expected {wanted!r}; move it away, or "
-            "give the study another --results"
-        )
+        raise ValueError(_refusal(source, what, found, wanted))
 
 
 def _differences(
     gate: Gate, evaluation: StudyEvaluation, bank: Bank, dataset: StudyDataset, policy: Mapping[str, Any]
 ) -> Iterator[tuple[str, Any, Any]]:
     """(what, found, wanted) of everything in which a gate differs."""
-    provenance = gate.provenance
-    training = provenance.get("training") or {}
-    run = evaluation.run
+    provenance, run = gate.provenance, evaluation.run
     expected: list[tuple[str, Any, Any]] = [
         ("method", provenance.get("method"), "policy"),
-        ("training_step", provenance.get("training_step"), evaluation.step),
-        ("training steps", training.get("steps"), run.steps),
-        ("training seed", training.get("seed"), run.seed),
-        (BATCH, training.get(BATCH), policy[BATCH]),
-        ("fresh_paths", training.get("fresh_paths"), False),
+        *_training(provenance, run, evaluation.step, policy),
         ("pairs_per_condition", provenance.get("pairs_per_condition"), bank.pairs),
         ("evaluation seed", provenance.get("seed"), bank.seed),
         ("coupling", provenance.get("coupling"), described_coupling(run.coupling)),
@@ -116,8 +108,60 @@ def _differences(
     yield from _policy_differences(provenance.get("config") or {}, policy)
 
 
+def refuse_other_loop(
+    sidecar: Mapping[str, Any], loop: StudyLoop, dataset: StudyDataset, policy: Mapping[str, Any], *, source: object
+) -> None:
+    """Refuse outcomes that are not those of the closed loop asked for.
+
+    Args:
+        sidecar: The recording's description, checked.
+        loop, dataset: What was asked for.
+        policy: Of :func:`wanted_policy`.
+        source: Its file, for the error.
+
+    Raises:
+        ValueError: In one sentence that names the first difference.
+    """
+    provenance, given = sidecar.get("policy") or {}, sidecar["env_kwargs"]
+    wanted_kwargs = dataset.env_kwargs | {"control": loop.control}
+    lines = [
+        *_training(provenance, loop.run, loop.run.steps, policy),
+        ("environment", sidecar["env_id"], dataset.env),
+        *((f"environment's {name}", given.get(name), value) for name, value in wanted_kwargs.items()),
+        ("perturbation", given.get("perturbation"), None),
+        ("episode seeds", [one["seed"] for one in sidecar["outcomes"]], loop.episode_seeds),
+    ]
+    different = [line for line in lines if line[1] != line[2]]
+    for what, found, wanted in itertools.chain(different, _policy_differences(provenance.get("config") or {}, policy)):
+        raise ValueError(_refusal(source, what, found, wanted))
+
+
+def _refusal(source: object, what: str, found: Any, wanted: Any) -> str:
+    return (
+        f"{source} is not what the study asks for: it has {what} {found!r}, expected {wanted!r}; move it away, or "
+        "give the study another --results"
+    )
+
+
+def _training(
+    provenance: Mapping[str, Any], run: StudyRun, step: int, policy: Mapping[str, Any]
+) -> list[tuple[str, Any, Any]]:
+    """(what, found, wanted) of the training behind a file of results."""
+    training = provenance.get("training") or {}
+    return [
+        ("training_step", provenance.get("training_step"), step),
+        ("training steps", training.get("steps"), run.steps),
+        ("training seed", training.get("seed"), run.seed),
+        (BATCH, training.get(BATCH), policy[BATCH]),
+        ("fresh_paths", training.get("fresh_paths"), False),
+    ]
+
+
 def _policy_differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Fields in which a policy is another; a field that is younger than the gate counts as what it was before."""
+    """(what, found, wanted) of the fields in which a policy is another.
+
+    A field that is younger than the file counts as what it was before.
+    """
     defaults = _defaults()
     for name, value in wanted.items():
         if name in NO_IDENTITY or name not in defaults:

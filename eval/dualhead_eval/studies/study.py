@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from dualhead_eval.atomic_text import write_text
+from dualhead_eval.studies.closed_loop_store import ClosedLoopStore, LoopResult
 from dualhead_eval.studies.gate_store import GateStore
 from dualhead_eval.studies.grading import StudyGrade, grade_study
 from dualhead_eval.studies.study_cells import StudyCell, study_cells
 from dualhead_eval.studies.study_file import StudyFile
-from dualhead_eval.studies.study_plan import StudyEvaluation, StudyPlan
+from dualhead_eval.studies.study_plan import StudyEvaluation, StudyLoop, StudyPlan
 from dualhead_eval.studies.study_references import StudyReferences, write_missing_references
 from dualhead_eval.studies.study_table import csv_text, study_rows
 
@@ -25,7 +27,7 @@ class StudyFolders:
     """Where a study's results lie.
 
     Attributes:
-        results: Folder of all studies' results: ``gates``, ``references``, and a folder per study.
+        results: Folder of all studies' results: ``gates``, ``closed_loops``, ``references``, and a folder per study.
         name: The study's name.
     """
 
@@ -36,6 +38,11 @@ class StudyFolders:
     def gates(self) -> Path:
         """Gate files, shared by all studies."""
         return self.results / "gates"
+
+    @property
+    def closed_loops(self) -> Path:
+        """Outcomes of closed loops, shared by all studies."""
+        return self.results / "closed_loops"
 
     @property
     def references(self) -> Path:
@@ -56,6 +63,8 @@ class StudyVerdict:
         cells: Its cells, as far as there are gates.
         grades: Its criteria.
         missing: Evaluations without a gate file.
+        loops: Its closed loops, as far as they are there.
+        missing_loops: Closed loops without outcomes.
         references: The exact references at hand.
         table, figure: Its files; None where no gate is there, and no figure where no seed can be read.
     """
@@ -63,6 +72,8 @@ class StudyVerdict:
     cells: list[StudyCell]
     grades: list[StudyGrade]
     missing: list[StudyEvaluation]
+    loops: list[LoopResult]
+    missing_loops: list[StudyLoop]
     references: StudyReferences
     table: Path | None
     figure: Path | None
@@ -78,14 +89,14 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
         data: Folder of the datasets, for references that are missing; need not exist.
 
     Raises:
-        ValueError: If a gate file is damaged or not what the study asks for.
+        ValueError: If a gate file, or a closed loop's, is damaged or not what the study asks for.
     """
-    store = GateStore(folders.gates)
-    missing = store.missing(plan)
+    store, loop_store = GateStore(folders.gates), ClosedLoopStore(folders.closed_loops)
+    missing, loops = store.missing(plan), loop_store.results(plan)
     cells = study_cells(plan, store.results(plan))
     write_missing_references(plan, data, folders.references)
     references = StudyReferences([folders.references, OPTIMA])
-    grades = grade_study(study, cells, references.rho)
+    grades = grade_study(study, cells, references.rho, loops)
     table = figure = None
     if cells:
         table = folders.own / TABLE_FILE
@@ -97,14 +108,15 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
                 from dualhead_eval.studies.study_figure import draw_study
 
                 draw_study(cells, references, figure)
-    return StudyVerdict(cells, grades, missing, references, table, figure)
+    return StudyVerdict(cells, grades, missing, loops, loop_store.missing(plan), references, table, figure)
 
 
-def missing_lines(missing: list[StudyEvaluation]) -> list[str]:
-    """One line per cell that lacks gate files: the seeds, and the files that each lacks."""
+def missing_lines(missing: Sequence[StudyEvaluation], loops: Sequence[StudyLoop] = ()) -> list[str]:
+    """One line per cell that lacks gate files or closed loops: the seeds, and the files that each lacks."""
     by_run: dict[tuple[str, int], list[str]] = {}
-    for evaluation in missing:
-        by_run.setdefault((evaluation.run.cell, evaluation.run.seed), []).append(evaluation.gate_file.name)
+    lacking = [(one.run, one.gate_file.name) for one in missing] + [(one.run, one.file.name) for one in loops]
+    for run, file in lacking:
+        by_run.setdefault((run.cell, run.seed), []).append(file)
     alike: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     for (cell, seed), files in by_run.items():
         alike.setdefault((cell, tuple(files)), []).append(seed)

@@ -94,6 +94,24 @@ class ResampledRow(Schema):
         return SamplingCoupling(source_noise_beta=self.source_noise_beta, token_draw=self.token_draw)
 
 
+class ClosedLoops(Schema):
+    """Rows of a block that also drive the robot, at the end of their runs.
+
+    Attributes:
+        rows: Configurations of the block.
+        seeds: Training seeds of the block; None: its first.
+        controls: Heads that drive, each in episodes of its own.
+        episodes: Episodes of each, from initial states that no demonstration began from.
+        first_seed: Seed of the first episode; the next has the next.
+    """
+
+    rows: list[Name] = Field(min_length=1)
+    seeds: list[Seed] | None = None
+    controls: list[Literal["joint", "position", "pose"]] = Field(min_length=1)
+    episodes: Count
+    first_seed: Seed = 0
+
+
 class RunBlock(Schema):
     """Configurations x datasets x seeds x budgets, and where their checkpoints are evaluated.
 
@@ -106,6 +124,7 @@ class RunBlock(Schema):
         steps: Training budgets; each is a run of its own.
         evaluate_at: Steps whose checkpoints are evaluated, at most the budget; None: the end.
         banks: Names of the study's banks; None: its first.
+        closed_loops: Which of them also drive the robot; None: none.
         later: Left out of what the study needs to be finished, unless asked for.
     """
 
@@ -117,6 +136,7 @@ class RunBlock(Schema):
     steps: Steps | list[Steps]
     evaluate_at: list[Steps] | None = None
     banks: list[Name] | None = None
+    closed_loops: ClosedLoops | None = None
     later: bool = False
 
     @property
@@ -140,6 +160,9 @@ class RunBlock(Schema):
                     f"its resampled row {row.name!r} needs a name of its own and is of {row.of!r}, expected one of "
                     f"the block's configurations ({', '.join(trained)})"
                 )
+        if (loops := self.closed_loops) is not None:
+            _refuse_unknown("row", loops.rows, trained, "closed_loops: ")
+            _refuse_unknown("seed", loops.seeds or (), self.seeds, "closed_loops: ")
         late = [step for step in self.evaluate_at or () if step > min(self.budgets)]
         if late:
             raise ValueError(f"evaluates at step {late[0]}, beyond its budget of {min(self.budgets)} steps")
@@ -155,6 +178,7 @@ class SmokeBudget(Schema):
         steps: Training budget in place of the study's largest; smaller ones and checkpoints shrink alike.
         conditions, pairs: Conditions, and pairs per condition, of every bank.
         episodes, demonstration_pairs: Size of ring and robot datasets.
+        closed_loop_episodes: Episodes of every closed loop.
     """
 
     importance: Annotated[int, Field(ge=1, le=9)] = 1
@@ -164,6 +188,7 @@ class SmokeBudget(Schema):
     pairs: Count = 64
     episodes: Count = 2000
     demonstration_pairs: Count = 24
+    closed_loop_episodes: Count = 2
 
 
 class StudyFile(Schema):

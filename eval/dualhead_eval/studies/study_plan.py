@@ -20,6 +20,8 @@ from dualhead_policy.training.sweep.sweep_file import FlagValue, SweepRun, comma
 
 #: How a study's gate files end.
 GATE_SUFFIX = ".gate.json.gz"
+#: How the outcomes of its closed loops end.
+LOOP_SUFFIX = ".rollouts.json"
 #: Sampling as the policy was trained.
 POLICYS_OWN = SamplingCoupling()
 
@@ -111,6 +113,35 @@ class StudyEvaluation:
 
 
 @dataclass(frozen=True)
+class StudyLoop:
+    """One closed loop of a study: the end of a run, driven by one head.
+
+    Attributes:
+        run: The run.
+        control: The head that drives: ``"joint"``, ``"position"`` or ``"pose"``.
+        episodes: Episodes.
+        first_seed: Seed of the first.
+        importance: As of the run, of this closed loop.
+    """
+
+    run: StudyRun
+    control: str
+    episodes: int
+    first_seed: int
+    importance: int
+
+    @property
+    def file(self) -> Path:
+        """The file of its outcomes below the folder of closed loops."""
+        return Path(self.run.name) / f"{self.run.steps:06d}-{self.control}{LOOP_SUFFIX}"
+
+    @property
+    def episode_seeds(self) -> list[int]:
+        """Seeds of its episodes, in their order."""
+        return list(range(self.first_seed, self.first_seed + self.episodes))
+
+
+@dataclass(frozen=True)
 class StudyPlan:
     """What one study, or several, need.
 
@@ -119,12 +150,14 @@ class StudyPlan:
         banks: Evaluation banks by (dataset, bank).
         runs: Runs, the most important first.
         evaluations: Evaluations of their checkpoints, the most important first.
+        loops: Closed loops of their ends, the most important first.
     """
 
     datasets: dict[str, StudyDataset] = field(default_factory=dict)
     banks: dict[tuple[str, str], Bank] = field(default_factory=dict)
     runs: tuple[StudyRun, ...] = ()
     evaluations: tuple[StudyEvaluation, ...] = ()
+    loops: tuple[StudyLoop, ...] = ()
 
     def bank(self, evaluation: StudyEvaluation) -> Bank:
         """The bank of an evaluation."""
@@ -168,6 +201,8 @@ def smoke_study(study: StudyFile) -> StudyFile:
                 "seeds": block.seeds[: smoke.seeds],
                 "steps": sorted({shrunk(budget) for budget in block.budgets}),
                 "evaluate_at": block.evaluate_at and sorted({shrunk(step) for step in block.evaluate_at}),
+                "closed_loops": block.closed_loops
+                and block.closed_loops.model_copy(update={"episodes": smoke.closed_loop_episodes}),
             }
         )
         for block in kept
@@ -196,6 +231,7 @@ def join_plans(plans: Sequence[StudyPlan]) -> StudyPlan:
     banks: dict[tuple[str, str], Bank] = {}
     runs: dict[str, StudyRun] = {}
     evaluations: dict[Path, StudyEvaluation] = {}
+    loops: dict[Path, StudyLoop] = {}
     for plan in plans:
         for name, dataset in plan.datasets.items():
             _same("dataset", name, datasets.setdefault(name, dataset), dataset)
@@ -211,12 +247,19 @@ def join_plans(plans: Sequence[StudyPlan]) -> StudyPlan:
             other = evaluations.get(evaluation.gate_file, evaluation)
             importance = min(other.importance, evaluation.importance)
             evaluations[evaluation.gate_file] = replace(evaluation, importance=importance)
+        for loop in plan.loops:
+            before = loops.get(loop.file, loop)
+            episodes, others = ((one.first_seed, one.episodes) for one in (before, loop))
+            _same("closed loop", str(loop.file), episodes, others)
+            loops[loop.file] = replace(loop, importance=min(before.importance, loop.importance))
     found = [replace(evaluation, run=runs[evaluation.run.name]) for evaluation in evaluations.values()]
+    driven = [replace(loop, run=runs[loop.run.name]) for loop in loops.values()]
     return StudyPlan(
         datasets,
         banks,
         tuple(sorted(runs.values(), key=lambda run: run.importance)),
         tuple(sorted(found, key=lambda evaluation: evaluation.importance)),
+        tuple(sorted(driven, key=lambda loop: loop.importance)),
     )
 
 
@@ -232,7 +275,7 @@ def shown_budget(steps: int) -> str:
 def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
     datasets = {name: study.datasets[name] for name in block.datasets or study.datasets}
     banks = {name: study.banks[name] for name in block.banks or list(study.banks)[:1]}
-    runs, evaluations = [], []
+    runs, evaluations, loops = [], [], []
     configurations = [named(configuration) for configuration in block.configurations]
     for configuration, dataset, steps, seed in itertools.product(configurations, datasets, block.budgets, block.seeds):
         points = tuple(sorted(block.evaluate_at or [steps]))
@@ -256,8 +299,17 @@ def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
             evaluations += [
                 StudyEvaluation(run, step, bank, block.importance) for step, bank in itertools.product(points, banks)
             ]
+        loops += _plan_loops(block, trained)
     keyed = {(dataset, name): bank for dataset in datasets for name, bank in banks.items()}
-    return StudyPlan(datasets, keyed, tuple(runs), tuple(evaluations))
+    return StudyPlan(datasets, keyed, tuple(runs), tuple(evaluations), tuple(loops))
+
+
+def _plan_loops(block: RunBlock, run: StudyRun) -> list[StudyLoop]:
+    """The closed loops that a block asks of a run."""
+    asked = block.closed_loops
+    if asked is None or run.configuration not in asked.rows or run.seed not in (asked.seeds or block.seeds[:1]):
+        return []
+    return [StudyLoop(run, control, asked.episodes, asked.first_seed, block.importance) for control in asked.controls]
 
 
 def _identity(run: StudyRun) -> tuple[object, ...]:

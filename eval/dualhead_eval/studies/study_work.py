@@ -1,4 +1,4 @@
-"""The work that a study lacks: demonstrations recorded, runs trained as sweeps, checkpoints evaluated.
+"""The work that a study lacks: demonstrations recorded, runs trained as sweeps, checkpoints evaluated and driven.
 
 Every stage leaves files that the next call finds: a kill costs what the recorder, the sweep or one evaluation had not
 written yet. Work is done in the order of its importance, so that a short budget is spent on what claims rest on.
@@ -6,7 +6,6 @@ written yet. Work is done in the order of its importance, so that a short budget
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +13,10 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from dualhead_eval.studies.closed_loop_store import ClosedLoopStore
 from dualhead_eval.studies.gate_store import GateStore
 from dualhead_eval.studies.study_file import StudyDataset
-from dualhead_eval.studies.study_plan import StudyEvaluation, StudyPlan, StudyRun
+from dualhead_eval.studies.study_plan import LOOP_SUFFIX, StudyEvaluation, StudyLoop, StudyPlan, StudyRun
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Workplace:
         data: Folder of the datasets, by name.
         runs: Folder of the sweep that trains its runs.
         gates: Folder of its gate files.
+        closed_loops: Folder of its closed loops' outcomes.
         jobs: Groups of runs, or evaluations, at a time.
         stack: Runs that train as one program at most.
         precision: Type in which the velocity fields compute in training.
@@ -36,6 +37,7 @@ class Workplace:
     data: Path
     runs: Path
     gates: Path
+    closed_loops: Path
     jobs: int = 2
     stack: int = 16
     precision: str = "fp32"
@@ -45,11 +47,15 @@ class Workplace:
         """The policy of a run's checkpoint."""
         return self.runs / run.training_name / "checkpoints" / f"{step:06d}" / "pretrained_model"
 
+    def recording(self, loop: StudyLoop) -> Path:
+        """Where a closed loop is recorded."""
+        return self.runs / "closed_loops" / loop.file.parent / loop.file.name.removesuffix(LOOP_SUFFIX)
+
 
 def do_missing_work(
     plan: StudyPlan, place: Workplace, say: Callable[[str], object], least_importance: int | None = None
 ) -> None:
-    """Record, train and evaluate what a study's gate files lack.
+    """Record, train, evaluate and drive what a study's results lack.
 
     Args:
         plan: What is wanted.
@@ -60,32 +66,32 @@ def do_missing_work(
     Raises:
         ValueError: If a run failed, or the data at hand are not those of the gates that are there.
     """
-    store = GateStore(place.gates)
-    missing = [
-        evaluation
-        for evaluation in store.missing(plan)
-        if least_importance is None or evaluation.importance <= least_importance
-    ]
-    if not missing:
-        return
-    _record_missing(plan, missing, place, say)
-    for importance, group in itertools.groupby(missing, key=lambda evaluation: evaluation.importance):
-        wanted = list(group)
-        untrained = [e for e in wanted if not (place.checkpoint(e.run, e.step) / "config.json").is_file()]
-        runs = plan.trainings(evaluation.run for evaluation in untrained)
+    missing, undriven = GateStore(place.gates).missing(plan), ClosedLoopStore(place.closed_loops).missing(plan)
+    levels = sorted({one.importance for one in missing} | {one.importance for one in undriven})
+    for importance in levels:
+        if least_importance is not None and importance > least_importance:
+            return
+        wanted = [one for one in missing if one.importance == importance]
+        loops = [one for one in undriven if one.importance == importance]
+        points = [(one.run, one.step) for one in wanted] + [(one.run, one.run.steps) for one in loops]
+        _record_missing(plan, [run for run, _ in points], place, say)
+        untrained = [run for run, step in points if not (place.checkpoint(run, step) / "config.json").is_file()]
+        runs = plan.trainings(untrained)
         if runs:
             say(f"importance {importance}: training {len(runs)} runs")
             _train(runs, place)
-        say(f"importance {importance}: evaluating {len(wanted)} checkpoints")
-        _evaluate(plan, wanted, place)
+        if wanted:
+            say(f"importance {importance}: evaluating {len(wanted)} checkpoints")
+            _each("evaluations", _evaluate_one, plan, wanted, place)
+        if loops:
+            say(f"importance {importance}: {len(loops)} closed loops of {loops[0].episodes} episodes")
+            _each("closed loops", _drive_one, plan, loops, place)
 
 
-def _record_missing(
-    plan: StudyPlan, missing: Sequence[StudyEvaluation], place: Workplace, say: Callable[[str], object]
-) -> None:
+def _record_missing(plan: StudyPlan, runs: Sequence[StudyRun], place: Workplace, say: Callable[[str], object]) -> None:
     from dualhead_envs.record import record
 
-    for name in dict.fromkeys(evaluation.run.dataset for evaluation in missing):
+    for name in dict.fromkeys(run.dataset for run in runs):
         root, dataset = place.data / name, plan.datasets[name]
         if (root / "card.json").is_file():
             continue
@@ -115,7 +121,10 @@ def _train(runs: Sequence[StudyRun], place: Workplace) -> None:
         raise ValueError(f"run {failed[0]} failed: {manifest.runs[failed[0]].error}")
 
 
-def _evaluate(plan: StudyPlan, wanted: Sequence[StudyEvaluation], place: Workplace) -> None:
+def _each[T](
+    what: str, do: Callable[[StudyPlan, T, Workplace], None], plan: StudyPlan, wanted: Sequence[T], place: Workplace
+) -> None:
+    """Do something to each of some items, as many at a time as the workplace has jobs."""
     from joblib import Parallel, delayed, parallel_config
 
     bars = Progress(
@@ -128,9 +137,9 @@ def _evaluate(plan: StudyPlan, wanted: Sequence[StudyEvaluation], place: Workpla
     )
     jobs = min(place.jobs, len(wanted))
     with bars, parallel_config(backend="loky" if jobs > 1 else "sequential"):
-        task = bars.add_task("evaluations", total=len(wanted))
+        task = bars.add_task(what, total=len(wanted))
         parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-        for _ in parallel(delayed(_evaluate_one)(plan, evaluation, place) for evaluation in wanted):
+        for _ in parallel(delayed(do)(plan, item, place) for item in wanted):
             bars.advance(task)
 
 
@@ -160,6 +169,38 @@ def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace
         precision=place.precision,
         device=str(sampler.provenance["training"].get("device") or "unknown"),
     )
+
+
+def _drive_one(plan: StudyPlan, loop: StudyLoop, place: Workplace) -> None:
+    """Record a closed loop, if it is not yet, and keep what became of its episodes."""
+    from dualhead_policy.quiet import quiet_libraries
+
+    quiet_libraries()
+    import torch
+
+    from dualhead_envs.dataset_frames import read_split
+    from dualhead_eval.evaluation.closed_loop import record_rollouts
+    from dualhead_eval.evaluation.conditions import recorded_environment
+    from dualhead_policy.pretrained import load_policy
+    from dualhead_policy.training.provenance import policy_provenance
+
+    recording = place.recording(loop)
+    if not recording.exists():
+        torch.set_num_threads(1)  # a network this small is slower on two
+        folder = place.checkpoint(loop.run, loop.run.steps)
+        policy, preprocess = load_policy(folder)
+        env_id, env_kwargs = recorded_environment(read_split(place.data / loop.run.dataset / "test"))
+        record_rollouts(
+            policy,
+            preprocess,
+            recording,
+            env_id=env_id,
+            env_kwargs=env_kwargs | {"control": loop.control},
+            episodes=loop.episodes,
+            seed=loop.first_seed,
+            provenance=policy_provenance(policy, folder),
+        )
+    ClosedLoopStore(place.closed_loops).keep(recording, plan, loop)
 
 
 def _standard_error() -> Any:

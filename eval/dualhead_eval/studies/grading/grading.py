@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from dualhead_eval.paper.claims.grade import HOLDS, OPEN
+from dualhead_eval.studies.closed_loop_store import LoopResult
 from dualhead_eval.studies.criterion import (
     AccountsCriterion,
     BanksCriterion,
     BesideCriterion,
     CapacityCriterion,
+    ClosedLoopCriterion,
     CornerCriterion,
     CriterionBase,
     DifferenceCriterion,
@@ -31,6 +33,7 @@ from dualhead_eval.studies.criterion import (
     TrendCriterion,
 )
 from dualhead_eval.studies.grading import comparisons, single_cells
+from dualhead_eval.studies.grading.closed_loops import grade_closed_loop
 from dualhead_eval.studies.grading.grade import CellGrade, StudyGrade, together
 from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_file import StudyFile
@@ -39,31 +42,42 @@ from dualhead_eval.studies.study_file import StudyFile
 Reference = Callable[[StudyCell], float | None]
 
 
-def grade_study(study: StudyFile, cells: Sequence[StudyCell], reference: Reference) -> list[StudyGrade]:
+def grade_study(
+    study: StudyFile, cells: Sequence[StudyCell], reference: Reference, loops: Sequence[LoopResult] = ()
+) -> list[StudyGrade]:
     """Every criterion of a study, in the file's order.
 
     Args:
         study: The study.
         cells: Its cells that are there.
         reference: rho of a cell's exact reference.
+        loops: Its closed loops that are there.
     """
-    return [_Grader(study, cells, criterion, reference).grade() for criterion in study.criteria]
+    return [_Grader(study, cells, criterion, reference, loops).grade() for criterion in study.criteria]
 
 
 class _Grader:
     """One criterion and the cells that it is about."""
 
     def __init__(
-        self, study: StudyFile, cells: Sequence[StudyCell], criterion: CriterionBase, reference: Reference
+        self,
+        study: StudyFile,
+        cells: Sequence[StudyCell],
+        criterion: CriterionBase,
+        reference: Reference,
+        loops: Sequence[LoopResult],
     ) -> None:
-        self.study, self.cells, self.criterion, self.reference = study, cells, criterion, reference
+        self.study, self.cells, self.criterion, self.reference, self.loops = study, cells, criterion, reference, loops
         self.first_bank = next(iter(study.banks))
         self.datasets = criterion.datasets or list(study.datasets)
         self.used: dict[str, StudyCell] = {}
 
     def grade(self) -> StudyGrade:
         graded = list(self._graded())
-        absent = [row for row in self.criterion.all_rows if not any(cell.configuration == row for cell in self.cells)]
+        there = {cell.configuration for cell in self.cells}
+        if isinstance(self.criterion, ClosedLoopCriterion):
+            there = {loop.loop.run.configuration for loop in self.loops}
+        absent = [row for row in self.criterion.all_rows if row not in there]
         shortage = [f"{row}: no run" for row in absent]
         shortage += [f"{name}: {cell.shortage}" for name, cell in self.used.items() if cell.shortage]
         grade = together(graded)
@@ -99,6 +113,10 @@ class _Grader:
             case LawCriterion():
                 for cell in self._rows(criterion.rows):
                     yield single_cells.grade_law(cell, criterion.margin)
+            case ClosedLoopCriterion():
+                for result in self.loops:
+                    if result.loop.run.configuration in criterion.rows and result.loop.run.dataset in self.datasets:
+                        yield grade_closed_loop(result, criterion)
             case ExactCriterion():
                 for cell in self._rows(criterion.rows):
                     if criterion.at in (None, cell.step):
