@@ -29,6 +29,8 @@ NO_IDENTITY = (
 BEFORE_THE_FIELD = {"embedding_gain": 1.0}
 #: What a configuration may leave open until it meets its data.
 OPEN_VALUES = (None, "auto")
+#: Mechanisms, whose None is none and nothing that data fill in.
+NEVER_OPEN = ("token", "latent")
 #: What the flags of a policy begin with.
 POLICY = "policy."
 BATCH = "batch_size"
@@ -124,12 +126,16 @@ def refuse_other_loop(
     """
     provenance, given = sidecar.get("policy") or {}, sidecar["env_kwargs"]
     wanted_kwargs = dataset.env_kwargs | {"control": loop.control}
+    # A description holds every seed once.
+    seeds = [outcome["seed"] for outcome in sidecar["outcomes"]]
     lines = [
         *_training(provenance, loop.run, loop.run.steps, policy),
         ("environment", sidecar["env_id"], dataset.env),
         *((f"environment's {name}", given.get(name), value) for name, value in wanted_kwargs.items()),
         ("perturbation", given.get("perturbation"), None),
-        ("episode seeds", [one["seed"] for one in sidecar["outcomes"]], loop.episode_seeds),
+        ("number of episodes", len(seeds), loop.episodes),
+        ("first episode's seed", min(seeds), loop.first_seed),
+        ("last episode's seed", max(seeds), loop.first_seed + loop.episodes - 1),
     ]
     different = [line for line in lines if line[1] != line[2]]
     for what, found, wanted in itertools.chain(different, _policy_differences(provenance.get("config") or {}, policy)):
@@ -167,7 +173,7 @@ def _policy_differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> 
         if name in NO_IDENTITY or name not in defaults:
             continue
         own = found.get(name, BEFORE_THE_FIELD.get(name, defaults[name]))
-        if value in OPEN_VALUES:
+        if value in OPEN_VALUES and name not in NEVER_OPEN:
             # What the data fill in is never the value that switches it off.
             if value == "auto" and own == "none":
                 yield f"policy.{name}", own, value

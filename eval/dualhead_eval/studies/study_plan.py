@@ -135,11 +135,6 @@ class StudyLoop:
         """The file of its outcomes below the folder of closed loops."""
         return Path(self.run.name) / f"{self.run.steps:06d}-{self.control}{LOOP_SUFFIX}"
 
-    @property
-    def episode_seeds(self) -> list[int]:
-        """Seeds of its episodes, in their order."""
-        return list(range(self.first_seed, self.first_seed + self.episodes))
-
 
 @dataclass(frozen=True)
 class StudyPlan:
@@ -178,7 +173,7 @@ def plan_study(study: StudyFile, *, smoke: bool = False, later: bool = False) ->
         later: With the blocks that are marked ``later``.
 
     Raises:
-        ValueError: If two of its runs have one name and differ.
+        ValueError: If two of its runs have one name and differ, or no block is important enough for its smoke form.
     """
     if smoke:
         study = smoke_study(study)
@@ -187,9 +182,18 @@ def plan_study(study: StudyFile, *, smoke: bool = False, later: bool = False) ->
 
 
 def smoke_study(study: StudyFile) -> StudyFile:
-    """A study in its smallest form: fewer seeds, steps, demonstrations, conditions and pairs."""
+    """A study in its smallest form: fewer seeds, steps, demonstrations, conditions, pairs and episodes.
+
+    Raises:
+        ValueError: If no block is important enough for it.
+    """
     smoke = study.smoke
     kept = [block for block in study.runs if block.importance <= smoke.importance and not block.later]
+    if not kept:
+        raise ValueError(
+            f"the study {study.title!r} has no block of importance {smoke.importance} or more for its smoke form: give "
+            "its `smoke` another importance"
+        )
     largest = max(budget for block in kept for budget in block.budgets)
 
     def shrunk(steps: int) -> int:

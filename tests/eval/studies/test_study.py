@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from dualhead_eval.cli import main
+from dualhead_eval.evaluation.rollouts import read_closed_loop
 from dualhead_eval.gate import read_gate, write_gate
 from dualhead_eval.studies.gate_store import GateStore, study_results
 from dualhead_eval.studies.study_file import read_study
@@ -43,6 +44,7 @@ STUDY = {
             "seeds": [0, 1],
             "steps": 150,
             "evaluate_at": [50, 150],
+            "closed_loops": {"rows": ["A_independent"], "controls": ["joint", "position"], "episodes": 3},
         },
         {
             "importance": 2,
@@ -69,6 +71,15 @@ STUDY = {
             "criterion": "within 3 points",
             "rows": ["A_independent", "B_shared_noise"],
             "margin": 0.03,
+        },
+        {
+            "name": "driving",
+            "test": "closed_loop",
+            "claim": "Either head drives by every way.",
+            "criterion": "Wilson's lower ends",
+            "rows": ["A_independent"],
+            "at_least": 0.9,
+            "each_way_at_least": 0.8,
         },
     ],
 }
@@ -128,6 +139,53 @@ def test_a_study_goes_from_its_file_to_its_verdict(finished):
         assert len(row["dataset_fingerprint"]) == len(row["training_fingerprint"]) == 64
     assert {float(row["exact_rho"]) < -0.1 for row in rows if row["configuration"] == "B_shared_noise"} == {True}
     assert (finished / "results" / "small" / "figure.png").stat().st_size > 10_000
+
+
+def test_the_first_seed_drives_with_either_head(finished):
+    recorded = finished / "runs/closed_loops/ring/A_independent-150/seed-0"
+    assert sorted(path.name for path in recorded.iterdir()) == ["000150-joint", "000150-position"]
+    for control in ("joint", "position"):
+        file = finished / f"results/closed_loops/ring/A_independent-150/seed-0/000150-{control}.rollouts.json"
+        assert read_closed_loop(file)[1] == read_closed_loop(recorded / f"000150-{control}")[1]
+        assert (read_closed_loop(file)[1].episodes, read_closed_loop(file)[1].control) == (3, control)
+
+
+def test_a_recording_that_is_there_is_not_made_again(finished, tmp_path, capsys):
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    file = tmp_path / "results/closed_loops/ring/A_independent-150/seed-0/000150-joint.rollouts.json"
+    before, kept = file.read_bytes(), contents(tmp_path / "runs")
+    file.unlink()
+    assert main(command(tmp_path, "--verdict-only")) == 0
+    said = capsys.readouterr().out
+    assert "1 of 2 closed loops are there" in said
+    assert "missing ring/A_independent-150, seed 0: 000150-joint.rollouts.json" in said
+    assert main(command(tmp_path)) == 0
+    assert file.read_bytes() == before
+    assert contents(tmp_path / "runs") == kept
+
+
+def test_closed_loops_of_something_else_are_refused(copied, capsys):
+    folder = copied / "results/closed_loops/ring/A_independent-150/seed-0"
+    joint, position = (folder / f"000150-{control}.rollouts.json" for control in ("joint", "position"))
+    whole = joint.read_text()
+    shutil.copy(position, joint)
+    assert main(command(copied, "--verdict-only")) == 2
+    assert "environment's control 'position', expected 'joint'" in capsys.readouterr().err
+    for change, sentence in (
+        (lambda content: content["outcomes"].pop(), "number of episodes 2, expected 3"),
+        (lambda content: content["outcomes"][0].update(seed=9), "first episode's seed 1, expected 0"),
+        (lambda content: content["policy"].update(training_step=50), "training_step 50, expected 150"),
+        (lambda content: content["policy"]["config"].update(token="oracle"), "policy.token 'oracle', expected None"),
+        (lambda content: content["env_kwargs"].update(perturbation="action_noise"), "perturbation"),
+    ):
+        content = json.loads(whole)
+        change(content)
+        joint.write_text(json.dumps(content))
+        assert main(command(copied, "--verdict-only")) == 2
+        assert sentence in capsys.readouterr().err
+    joint.write_text(whole[:-9])
+    assert main(command(copied, "--verdict-only")) == 2
+    assert "not a dataset of recorded rollouts" in capsys.readouterr().err
 
 
 def test_a_resampled_row_trains_nothing_and_has_the_couplings_reference(finished):
@@ -241,6 +299,13 @@ def test_a_gate_of_another_run_or_recording_is_refused(copied, capsys):
     write_gate(replace(gate, provenance=changed), second, overwrite=True)
     assert main(command(copied, "--verdict-only")) == 2
     assert "expected one recording of ring" in capsys.readouterr().err
+    for mechanism, value in (("token", "oracle"), ("latent", "prior")):
+        other = json.loads(json.dumps(gate.provenance))
+        other["training"]["seed"] = 1
+        other["config"][mechanism] = value
+        write_gate(replace(gate, provenance=other), second, overwrite=True)
+        assert main(command(copied, "--verdict-only")) == 2
+        assert f"policy.{mechanism} '{value}', expected None" in capsys.readouterr().err
     # Another training split and other states: another recording, not another processor's.
     changed["run"]["training_data"] = "0" * 64
     write_gate(replace(gate, provenance=changed, conditions=gate.conditions + 0.01), second, overwrite=True)

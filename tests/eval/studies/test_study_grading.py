@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dualhead_eval.evaluation.rollouts import ClosedLoop, ModeOutcome
 from dualhead_eval.gate.compact import compact_gate
 from dualhead_eval.gate.file import write_gate
 from dualhead_eval.statistics.run import open_run
+from dualhead_eval.studies.closed_loop_store import LoopResult
 from dualhead_eval.studies.gate_store import StudyResult
 from dualhead_eval.studies.grading import grade_study
 from dualhead_eval.studies.grading.collapse_rows import collapse_number, collapse_row
 from dualhead_eval.studies.grading.single_cells import shared_noise_law
 from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_file import StudyFile
+from dualhead_eval.studies.study_plan import StudyLoop, StudyRun
 from dualhead_eval.studies.study_references import StudyReferences
 from dualhead_eval.studies.study_table import COLUMNS, csv_text, study_rows
 
@@ -56,7 +59,7 @@ def cell(make_gate):
     return build
 
 
-def graded(cells, criterion, reference=lambda cell: None):
+def graded(cells, criterion, reference=lambda cell: None, loops=()):
     rows = sorted({cell.configuration for cell in cells} | set(criterion["rows"]))
     content = {
         "title": "t",
@@ -66,7 +69,7 @@ def graded(cells, criterion, reference=lambda cell: None):
         "runs": [{"importance": 1, "configurations": [{"name": row} for row in rows], "seeds": [0], "steps": 1000}],
         "criteria": [{"name": "n", "claim": "c", "criterion": "c", **criterion}],
     }
-    (grade,) = grade_study(StudyFile.model_validate(content), cells, reference)
+    (grade,) = grade_study(StudyFile.model_validate(content), cells, reference, loops)
     return grade
 
 
@@ -301,3 +304,35 @@ def test_the_tidy_table_has_a_row_per_run_and_leaves_what_is_undefined_empty(cel
     assert values["rho"] == ""
     assert float(values["capacity"]) == 0
     assert np.isnan(rows[0]["rho"])
+
+
+def driven(row, *ways):
+    """A closed loop of the joint head whose ways have (successes, episodes)."""
+    successes, episodes = (sum(way[i] for way in ways) for i in (0, 1))
+    modes = tuple(ModeOutcome(mode, of, good) for mode, (good, of) in enumerate(ways))
+    run = StudyRun("ring", row, None, {}, 0, 1000, (1000,), 1)
+    outcome = ClosedLoop("RotatingRing-v2", "joint", episodes, successes, 0, modes=modes)
+    return LoopResult(StudyLoop(run, "joint", episodes, 0, 1), outcome)
+
+
+@pytest.mark.parametrize(
+    ("ways", "grade"),
+    [
+        ([(50, 50), (50, 50), (50, 50)], "holds"),
+        ([(50, 50), (50, 50), (30, 50)], "does not hold"),  # [0.46, 0.72] by the third way
+        ([(40, 50), (40, 50), (40, 50)], "does not hold"),  # 0.80 [0.73, 0.86] of all
+        ([(50, 50), (50, 50), (44, 50)], "inconclusive"),  # 0.88 [0.76, 0.94] by the third way
+        ([(75, 75), (75, 75), (0, 0)], "does not hold"),  # a way that no episode took
+    ],
+)
+def test_a_head_drives_by_every_way_or_not(cell, ways, grade):
+    criterion = {"test": "closed_loop", "rows": ["A"], "at_least": 0.9, "each_way_at_least": 0.8}
+    found = graded([cell("A", [0.1])], criterion, loops=[driven("A", *ways), driven("B", (0, 9), (0, 9), (0, 9))])
+    assert found.grade == grade
+    assert [one.name for one in found.cells] == ["ring/A-1k seed 0, joint head"]  # of its own rows alone
+
+
+def test_a_row_that_did_not_drive_leaves_its_criterion_open(cell):
+    criterion = {"test": "closed_loop", "rows": ["A", "B"], "at_least": 0.9, "each_way_at_least": 0.8}
+    found = graded([cell("A", [0.1]), cell("B", [0.1])], criterion, loops=[driven("A", (90, 90), (90, 90))])
+    assert (found.grade, found.shortage) == ("inconclusive", ("B: no run",))

@@ -32,6 +32,8 @@ SMALL = {
     ],
 }
 
+DRIVEN = {"rows": ["B"], "controls": ["joint", "position"], "episodes": 9}
+
 
 def written(folder, **changes):
     path = folder / "study.yaml"
@@ -101,6 +103,24 @@ def test_a_resampled_row_is_its_own_run_of_another_rows_training(tmp_path):
     assert {run.coupling.token_draw for run in rows} == {"uniform"}
 
 
+def test_a_closed_loop_is_the_end_of_a_run_and_a_head_that_drives(tmp_path):
+    blocks = [SMALL["runs"][0] | {"closed_loops": DRIVEN}, SMALL["runs"][2] | {"closed_loops": DRIVEN}]
+    plan = plan_study(small(tmp_path, runs=blocks))
+    files = [f"ring/B-400/seed-0/000400-{control}.rollouts.json" for control in ("joint", "position")]
+    assert [loop.file.as_posix() for loop in plan.loops] == files  # the first seed's, and each once
+    assert {(loop.run.name, loop.episodes, loop.importance) for loop in plan.loops} == {("ring/B-400/seed-0", 9, 2)}
+    asked = {"importance": 1, "closed_loops": DRIVEN | {"seeds": [0, 1], "rows": ["A", "B"]}}
+    every = small(tmp_path, runs=[SMALL["runs"][0] | asked])
+    assert len(plan_study(every).loops) == 8
+    smoke = plan_study(every, smoke=True)
+    assert {(loop.run.seed, loop.episodes) for loop in smoke.loops} == {(0, every.smoke.closed_loop_episodes)}
+    with pytest.raises(ValueError, match="no block of importance 1 or more for its smoke form"):
+        plan_study(small(tmp_path, runs=blocks), smoke=True)
+    longer = SMALL["runs"][2] | {"closed_loops": DRIVEN | {"episodes": 10}}
+    with pytest.raises(ValueError, match=r"the closed loop .*joint.* is given twice and differs"):
+        plan_study(small(tmp_path, runs=[blocks[0], longer]))
+
+
 def test_one_name_for_two_things_is_refused(tmp_path):
     blocks = [*SMALL["runs"], SMALL["runs"][2] | {"configurations": [{"name": "B", "flags": {"batch_size": 7}}]}]
     with pytest.raises(ValueError, match="the run ring/B-400/seed-0 is given twice and differs"):
@@ -124,6 +144,9 @@ def test_one_name_for_two_things_is_refused(tmp_path):
             "is of .C., expected one",
         ),
         ({"runs": [SMALL["runs"][2] | {"resampled": [{"name": "D", "of": "B"}]}]}, "samples as .B. does"),
+        ({"runs": [SMALL["runs"][2] | {"closed_loops": DRIVEN | {"rows": ["A"]}}]}, "closed_loops: names the row 'A'"),
+        ({"runs": [SMALL["runs"][2] | {"closed_loops": DRIVEN | {"seeds": [7]}}]}, "closed_loops: names the seed 7"),
+        ({"runs": [SMALL["runs"][2] | {"closed_loops": DRIVEN | {"controls": ["hand"]}}]}, "controls"),
         ({"surprise": 1}, "unknown field 'surprise'"),
     ],
 )
