@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dualhead_eval.commands.console import open_console
 from dualhead_eval.commands.counts import require_counts
+
+if TYPE_CHECKING:
+    from dualhead_eval.studies.study_plan import StudyPlan
 
 DESCRIPTION = """\
 Run a study: train what is missing, evaluate every checkpoint that it asks for, and say what it shows beside the
@@ -56,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.importance is not None and args.importance < 1:
         raise ValueError(f"--importance {args.importance} is none: give 1 for what comes first, up to 9 for everything")
     from dualhead_eval.studies.study_file import read_study
-    from dualhead_eval.studies.study_plan import plan_study, smoke_study
+    from dualhead_eval.studies.study_plan import plan_study, share_checkpoints, smoke_study
 
     path = study_path(args.study)
     study, smoke = read_study(path), args.preset == "smoke"
@@ -90,7 +96,8 @@ def run(args: argparse.Namespace) -> int:
             precision=args.precision,
             show_progress=not args.no_progress,
         )
-        do_missing_work(plan, place, console.print, args.importance)
+        shared = share_checkpoints(plan, _plans_beside(path, smoke=smoke))
+        do_missing_work(shared, place, console.print, args.importance)
     verdict = judge_study(study, plan, folders, data)
     if verdict.cells:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))
@@ -124,6 +131,17 @@ def run(args: argparse.Namespace) -> int:
         figure = verdict.figure or "none, no seed can be read"
         console.print(f"table:  {verdict.table}\nfigure: {figure}\ngates:  {folders.gates}")
     return 0
+
+
+def _plans_beside(path: Path, *, smoke: bool) -> Iterator[StudyPlan]:
+    """Plans of the other studies beside a study's file; what is no study, or contradicts itself, has no say."""
+    from dualhead_eval.studies.study_file import read_study
+    from dualhead_eval.studies.study_plan import plan_study
+
+    for other in sorted({*path.parent.glob("*.yaml"), *path.parent.glob("*.yml")}):
+        if other.resolve() != path.resolve():
+            with suppress(OSError, ValueError):
+                yield plan_study(read_study(other), smoke=smoke)
 
 
 def study_path(name: str) -> Path:

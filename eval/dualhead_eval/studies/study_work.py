@@ -47,6 +47,10 @@ class Workplace:
         """The policy of a run's checkpoint."""
         return self.runs / run.training_name / "checkpoints" / f"{step:06d}" / "pretrained_model"
 
+    def has(self, run: StudyRun, step: int) -> bool:
+        """Whether a run's checkpoint is there."""
+        return (self.checkpoint(run, step) / "config.json").is_file()
+
     def recording(self, loop: StudyLoop) -> Path:
         """Where a closed loop is recorded."""
         return self.runs / "closed_loops" / loop.file.parent / loop.file.name.removesuffix(LOOP_SUFFIX)
@@ -71,21 +75,32 @@ def do_missing_work(
     for importance in levels:
         if least_importance is not None and importance > least_importance:
             return
-        wanted = [one for one in missing if one.importance == importance]
+        evaluations = [one for one in missing if one.importance == importance]
         loops = [one for one in undriven if one.importance == importance]
-        points = [(one.run, one.step) for one in wanted] + [(one.run, one.run.steps) for one in loops]
-        _record_missing(plan, [run for run, _ in points], place, say)
-        untrained = [run for run, step in points if not (place.checkpoint(run, step) / "config.json").is_file()]
-        runs = plan.trainings(untrained)
-        if runs:
+        _record_missing(plan, [one.run for one in evaluations] + [one.run for one in loops], place, say)
+        # What an interrupted call has trained is evaluated before more is trained.
+        waiting = [one for one in evaluations if not place.has(one.run, one.step)]
+        _evaluate(plan, [one for one in evaluations if place.has(one.run, one.step)], place, say, importance)
+        untrained = [one.run for one in waiting] + [one.run for one in loops if not place.has(one.run, one.run.steps)]
+        if runs := plan.trainings(untrained):
             say(f"importance {importance}: training {len(runs)} runs")
             _train(runs, place)
-        if wanted:
-            say(f"importance {importance}: evaluating {len(wanted)} checkpoints")
-            _each("evaluations", _evaluate_one, plan, wanted, place)
+            _refuse_unsaved(waiting, place)
+        _evaluate(plan, waiting, place, say, importance)
         if loops:
-            say(f"importance {importance}: {len(loops)} closed loops of {loops[0].episodes} episodes")
+            say(f"importance {importance}: recording {len(loops)} closed loops")
             _each("closed loops", _drive_one, plan, loops, place)
+
+
+def _refuse_unsaved(evaluations: Sequence[StudyEvaluation], place: Workplace) -> None:
+    """Refuse a run that was trained before anybody asked for a checkpoint on its way."""
+    for evaluation in evaluations:
+        if not place.has(evaluation.run, evaluation.step):
+            folder = place.runs / evaluation.run.training_name
+            raise ValueError(
+                f"{folder} is trained and has no checkpoint of step {evaluation.step}, which the study evaluates: "
+                "move the folder away to have it trained again, or give the study another --runs"
+            )
 
 
 def _record_missing(plan: StudyPlan, runs: Sequence[StudyRun], place: Workplace, say: Callable[[str], object]) -> None:
@@ -119,6 +134,14 @@ def _train(runs: Sequence[StudyRun], place: Workplace) -> None:
     failed = [name for name in (run.name for run in runs) if manifest.runs[name].state == "failed"]
     if failed:
         raise ValueError(f"run {failed[0]} failed: {manifest.runs[failed[0]].error}")
+
+
+def _evaluate(
+    plan: StudyPlan, wanted: Sequence[StudyEvaluation], place: Workplace, say: Callable[[str], object], importance: int
+) -> None:
+    if wanted:
+        say(f"importance {importance}: evaluating {len(wanted)} checkpoints")
+        _each("evaluations", _evaluate_one, plan, wanted, place)
 
 
 def _each[T](

@@ -221,6 +221,23 @@ def test_a_finished_study_changes_nothing_and_needs_neither_data_nor_runs(copied
     assert not (copied / "data").exists()
 
 
+def test_what_is_trained_is_evaluated_before_more_is_trained(finished, tmp_path, capsys):
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    runs = [Path("ring") / f"{row}-150" / "seed-1" for row in ("A_independent", "B_shared_noise")]
+    for run in runs:
+        (tmp_path / "results/gates" / run / "000150-frozen.gate.json.gz").unlink()
+    (tmp_path / "runs" / runs[0] / "checkpoints/000150/pretrained_model/config.json").unlink()
+    assert main(command(tmp_path)) == 2  # the sweep counts that run as finished
+    said = capsys.readouterr()
+    assert "evaluating 1 checkpoints" in said.out
+    assert "training 1 runs" in said.out
+    assert "seed-1 is trained and has no checkpoint of step 150, which the study evaluates: move" in said.err
+    assert [(tmp_path / "results/gates" / run / "000150-frozen.gate.json.gz").is_file() for run in runs] == [
+        False,
+        True,
+    ]
+
+
 def test_a_short_budget_is_spent_on_what_is_important(copied, capsys):
     large = copied / "results/gates/ring/A_independent-150/seed-0/000150-large.gate.json.gz"
     large.unlink()

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from dualhead_eval.studies.study_file import read_study
-from dualhead_eval.studies.study_plan import join_plans, plan_study
+from dualhead_eval.studies.study_plan import join_plans, plan_study, share_checkpoints
 
 STUDIES = sorted((Path(__file__).parents[3] / "studies").glob("*.yaml"))
 
@@ -83,6 +83,18 @@ def test_a_run_trains_as_a_sweep_would(tmp_path):
     assert run.save_at == (100, 400)
     assert run.dataset == str(tmp_path / "ring" / "train")
     assert {"--steps=400", "--save_freq=400", "--seed=1"} <= set(run.arguments)
+
+
+def test_a_training_saves_what_other_studies_evaluate_of_it(tmp_path):
+    plan = plan_study(small(tmp_path, runs=[SMALL["runs"][0] | {"evaluate_at": [400]}]))
+    beside = plan_study(small(tmp_path, runs=[SMALL["runs"][0] | {"seeds": [1], "evaluate_at": [50, 100]}]))
+    shared = {run.name: run.sweep_run(tmp_path).save_at for run in share_checkpoints(plan, [beside]).runs}
+    assert shared["ring/A-400/seed-0"] == (400,)
+    assert shared["ring/A-400/seed-1"] == shared["ring/B-400/seed-1"] == (50, 100, 400)
+    assert share_checkpoints(plan, [beside]).evaluations == plan.evaluations
+    for other in ({"flags": {"batch_size": 7}}, {"datasets": {"ring": {"env": "RotatingRing-v2", "episodes": 7}}}):
+        another = plan_study(small(tmp_path, runs=[SMALL["runs"][0] | {"evaluate_at": [50]}], **other))
+        assert share_checkpoints(plan, [another]) == plan
 
 
 def test_a_resampled_row_is_its_own_run_of_another_rows_training(tmp_path):
