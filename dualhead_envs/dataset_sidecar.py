@@ -8,11 +8,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter, model_validator
 
-from dualhead_envs.validated_json import Label, Schema, printable, read_validated, shown
+from dualhead_envs.validated_json import Label, Schema, printable, read_json, shown, validated
 
 #: Where the description lies in a dataset's folder.
 SIDECAR = Path("meta", "dualhead.json")
 REMEDY = "record the dataset again"
+#: What a rollout dataset's description is, and what to do about a file that is none.
+ROLLOUTS_KIND = "a description of recorded rollouts"
+ROLLOUTS_REMEDY = "not a dataset of recorded rollouts, record one with `dualhead evaluate --policy ... --record DIR`"
 
 
 def _environment(name: str) -> str:
@@ -109,7 +112,8 @@ def read_sidecar(root: Path) -> dict[str, Any]:
     """
     if not (root / SIDECAR).is_file():
         return {}
-    return _content(root / SIDECAR, DatasetSidecar, "a description of recorded demonstrations", REMEDY)
+    document = read_json(root / SIDECAR, kind="a description of recorded demonstrations", remedy=REMEDY)
+    return _content(document, DatasetSidecar, root / SIDECAR, REMEDY)
 
 
 def read_rollout_sidecar(path: Path) -> dict[str, Any]:
@@ -119,19 +123,33 @@ def read_rollout_sidecar(path: Path) -> dict[str, Any]:
         FileNotFoundError: If there is no such file.
         ValueError: If the file is damaged or of another kind.
     """
-    remedy = "not a dataset of recorded rollouts, record one with `dualhead evaluate --policy ... --record DIR`"
-    content = _content(path, RolloutSidecar, "a description of recorded rollouts", remedy)
+    return checked_rollouts(read_json(path, kind=ROLLOUTS_KIND, remedy=ROLLOUTS_REMEDY), path)
+
+
+def checked_rollouts(document: Any, source: Path) -> dict[str, Any]:
+    """A JSON document as the description of recorded rollouts.
+
+    Args:
+        document: What was read.
+        source: Its file, for errors.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    content = _content(document, RolloutSidecar, source, ROLLOUTS_REMEDY)
     seeds = [outcome["seed"] for outcome in content["outcomes"]]
     if len(set(seeds)) < len(seeds):
-        raise ValueError(f"{path} holds an episode's seed twice, expected each episode once: record the rollouts again")
+        raise ValueError(
+            f"{source} holds an episode's seed twice, expected each episode once: record the rollouts again"
+        )
     if content["env_kwargs"].get("control") not in ("joint", "position", "pose"):
         raise ValueError(
-            f"{path} has no env_kwargs.control of 'joint', 'position' or 'pose', expected the head that drove: record "
-            "the rollouts again"
+            f"{source} has no env_kwargs.control of 'joint', 'position' or 'pose', expected the head that drove: "
+            "record the rollouts again"
         )
     return content
 
 
-def _content[T: Schema](path: Path, schema: type[T], kind: str, remedy: str) -> dict[str, Any]:
-    checked = read_validated(path, schema, kind=kind, remedy=remedy)
+def _content[T: Schema](document: Any, schema: type[T], source: Path, remedy: str) -> dict[str, Any]:
+    checked = validated(document, schema, source=str(source), remedy=remedy)
     return TypeAdapter(schema).dump_python(checked, exclude_unset=True)

@@ -12,8 +12,10 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from dualhead_envs.dataset_sidecar import read_rollout_sidecar
+from dualhead_envs.dataset_sidecar import ROLLOUTS_KIND, ROLLOUTS_REMEDY, checked_rollouts, read_rollout_sidecar
+from dualhead_envs.validated_json import parse_json
 from dualhead_eval.evaluation.labelled_pairs import LabelledPairs, make_gate
+from dualhead_eval.gate.compressed import COMPRESSED_SUFFIX, decompress, is_compressed
 from dualhead_eval.gate.gate import ROLLOUTS, Gate
 from dualhead_eval.statistics.interval import Interval
 
@@ -21,6 +23,8 @@ from dualhead_eval.statistics.interval import Interval
 ROLLOUTS_FORMAT = "dualhead-rollouts/1"
 #: How the name of a copy of it ends.
 ROLLOUTS_SUFFIX = ".rollouts.json"
+#: The same, plain or compressed.
+ROLLOUTS_SUFFIXES = (ROLLOUTS_SUFFIX, ROLLOUTS_SUFFIX + COMPRESSED_SUFFIX)
 
 
 @dataclass(frozen=True)
@@ -122,8 +126,8 @@ def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
     """Name and outcomes of recorded rollouts.
 
     Args:
-        path: A rollout dataset's folder, or a copy of its ``meta/dualhead.json`` (``NAME.rollouts.json``), which is
-            small enough to keep.
+        path: A rollout dataset's folder, or a copy of its ``meta/dualhead.json`` (``NAME.rollouts.json``, or the same
+            with ``.gz``), which is small enough to keep.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -131,12 +135,25 @@ def read_closed_loop(path: str | Path) -> tuple[str, ClosedLoop]:
     """
     path = Path(path)
     file = path / "meta" / "dualhead.json" if path.is_dir() else path
-    sidecar = read_rollout_sidecar(file)
+    sidecar = read_outcomes(file)
     loop = closed_loop_of(sidecar)
     assert loop is not None
-    name = path.name.removesuffix(ROLLOUTS_SUFFIX)
+    name = path.name.removesuffix(COMPRESSED_SUFFIX).removesuffix(ROLLOUTS_SUFFIX)
     step = sidecar.get("policy", {}).get("training_step")
     return (f"{name}, {step} steps" if step else name), loop
+
+
+def read_outcomes(path: Path) -> dict[str, Any]:
+    """The checked content of a rollout dataset's ``meta/dualhead.json``, or of a copy of it, plain or compressed.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is damaged or of another kind.
+    """
+    if not is_compressed(path) or not path.is_file():
+        return read_rollout_sidecar(path)
+    text = decompress(path, kind=ROLLOUTS_KIND, remedy=ROLLOUTS_REMEDY)
+    return checked_rollouts(parse_json(text, source=str(path), kind=ROLLOUTS_KIND, remedy=ROLLOUTS_REMEDY), path)
 
 
 def rollout_gate(root: str | Path, *, taus: Sequence[float] = (), label: str | None = None) -> Gate:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from dualhead_envs.recording.geometry_card import GeometryCard, read_geometry_card
-from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, ClosedLoop, read_closed_loop
+from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, ROLLOUTS_SUFFIXES, ClosedLoop, read_closed_loop
 from dualhead_eval.gate.file import read_gate
 from dualhead_eval.gate.gate import Gate
 from dualhead_policy.training.sweep.manifest import MANIFEST_FILE, Manifest, read_manifest
@@ -82,11 +82,11 @@ def _read_sweep(path: Path, inputs: ReportInputs) -> None:
 
 def _results(glob: Callable[[str], Iterable[Path]]) -> list[Path]:
     """Gate and rollout files that a folder's ``glob`` finds, by name."""
-    return sorted(file for suffix in (*GATE_SUFFIXES, ROLLOUTS_SUFFIX) for file in glob("*" + suffix))
+    return sorted(file for suffix in (*GATE_SUFFIXES, *ROLLOUTS_SUFFIXES) for file in glob("*" + suffix))
 
 
 def _read_file(path: Path, inputs: ReportInputs) -> None:
-    if path.name.endswith(ROLLOUTS_SUFFIX):
+    if path.name.endswith(ROLLOUTS_SUFFIXES):
         inputs.loops.append(read_closed_loop(path))
     else:
         inputs.gates.append(read_gate(path))

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dualhead_envs.dataset_sidecar import SIDECAR, read_rollout_sidecar
-from dualhead_eval.atomic_text import write_text
-from dualhead_eval.evaluation.rollouts import ClosedLoop, closed_loop_of
+from dualhead_envs.dataset_sidecar import SIDECAR
+from dualhead_eval.atomic_text import write_bytes
+from dualhead_eval.evaluation.rollouts import ClosedLoop, closed_loop_of, read_outcomes
+from dualhead_eval.gate.compressed import compress
 from dualhead_eval.studies.gate_identity import refuse_other_loop, wanted_policy
 from dualhead_eval.studies.study_plan import StudyLoop, StudyPlan
 
@@ -74,12 +75,10 @@ class ClosedLoopStore:
             ValueError: If it is damaged, or not the closed loop that the plan asks for.
         """
         sidecar = self._read(recording / SIDECAR, plan, loop)
-        path = self.path(loop)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(sidecar, separators=(",", ":")))
+        write_bytes(self.path(loop), compress(json.dumps(sidecar, separators=(",", ":"))))
 
     def _read(self, path: Path, plan: StudyPlan, loop: StudyLoop) -> Mapping[str, Any]:
-        sidecar = read_rollout_sidecar(path)
+        sidecar = read_outcomes(path)
         refuse_other_loop(sidecar, loop, plan.datasets[loop.run.dataset], wanted_policy(loop.run), source=path)
         return sidecar
 

@@ -21,7 +21,7 @@ from dualhead_policy.training.sweep.sweep_file import FlagValue, SweepRun, comma
 #: How a study's gate files end.
 GATE_SUFFIX = ".gate.json.gz"
 #: How the outcomes of its closed loops end.
-LOOP_SUFFIX = ".rollouts.json"
+LOOP_SUFFIX = ".rollouts.json.gz"
 #: Sampling as the policy was trained.
 POLICYS_OWN = SamplingCoupling()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import subprocess
 import sys
@@ -56,7 +57,10 @@ def test_a_copy_of_the_outcomes_is_reported_like_the_rollouts(tmp_path, capsys):
     text = json.dumps(sidecar(9, 1, control="position", policy={"training_step": 50_000}))
     (tmp_path / "rollouts" / "meta" / "dualhead.json").write_text(text)
     (tmp_path / "oracle.rollouts.json").write_text(text)
-    assert read_closed_loop(tmp_path / "rollouts")[1] == read_closed_loop(tmp_path / "oracle.rollouts.json")[1]
+    (tmp_path / "packed.rollouts.json.gz").write_bytes(gzip.compress(text.encode()))
+    copies = [read_closed_loop(tmp_path / name) for name in ("oracle.rollouts.json", "packed.rollouts.json.gz")]
+    assert [outcome for _, outcome in copies] == [read_closed_loop(tmp_path / "rollouts")[1]] * 2
+    assert [name for name, _ in copies] == ["oracle, 50000 steps", "packed, 50000 steps"]
     assert main(["report", str(tmp_path / "rollouts"), str(tmp_path / "oracle.rollouts.json")]) == 0
     shown = capsys.readouterr().out
     # Each of the two in the table of all episodes, and in that of the one mode which all of them are of.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import shutil
 from dataclasses import replace
@@ -145,20 +146,20 @@ def test_the_first_seed_drives_with_either_head(finished):
     recorded = finished / "runs/closed_loops/ring/A_independent-150/seed-0"
     assert sorted(path.name for path in recorded.iterdir()) == ["000150-joint", "000150-position"]
     for control in ("joint", "position"):
-        file = finished / f"results/closed_loops/ring/A_independent-150/seed-0/000150-{control}.rollouts.json"
+        file = finished / f"results/closed_loops/ring/A_independent-150/seed-0/000150-{control}.rollouts.json.gz"
         assert read_closed_loop(file)[1] == read_closed_loop(recorded / f"000150-{control}")[1]
         assert (read_closed_loop(file)[1].episodes, read_closed_loop(file)[1].control) == (3, control)
 
 
 def test_a_recording_that_is_there_is_not_made_again(finished, tmp_path, capsys):
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
-    file = tmp_path / "results/closed_loops/ring/A_independent-150/seed-0/000150-joint.rollouts.json"
+    file = tmp_path / "results/closed_loops/ring/A_independent-150/seed-0/000150-joint.rollouts.json.gz"
     before, kept = file.read_bytes(), contents(tmp_path / "runs")
     file.unlink()
     assert main(command(tmp_path, "--verdict-only")) == 0
     said = capsys.readouterr().out
     assert "1 of 2 closed loops are there" in said
-    assert "missing ring/A_independent-150, seed 0: 000150-joint.rollouts.json" in said
+    assert "missing ring/A_independent-150, seed 0: 000150-joint.rollouts.json.gz" in said
     assert main(command(tmp_path)) == 0
     assert file.read_bytes() == before
     assert contents(tmp_path / "runs") == kept
@@ -166,8 +167,8 @@ def test_a_recording_that_is_there_is_not_made_again(finished, tmp_path, capsys)
 
 def test_closed_loops_of_something_else_are_refused(copied, capsys):
     folder = copied / "results/closed_loops/ring/A_independent-150/seed-0"
-    joint, position = (folder / f"000150-{control}.rollouts.json" for control in ("joint", "position"))
-    whole = joint.read_text()
+    joint, position = (folder / f"000150-{control}.rollouts.json.gz" for control in ("joint", "position"))
+    whole = joint.read_bytes()
     shutil.copy(position, joint)
     assert main(command(copied, "--verdict-only")) == 2
     assert "environment's control 'position', expected 'joint'" in capsys.readouterr().err
@@ -178,12 +179,12 @@ def test_closed_loops_of_something_else_are_refused(copied, capsys):
         (lambda content: content["policy"]["config"].update(token="oracle"), "policy.token 'oracle', expected None"),
         (lambda content: content["env_kwargs"].update(perturbation="action_noise"), "perturbation"),
     ):
-        content = json.loads(whole)
+        content = json.loads(gzip.decompress(whole))
         change(content)
-        joint.write_text(json.dumps(content))
+        joint.write_bytes(gzip.compress(json.dumps(content).encode()))
         assert main(command(copied, "--verdict-only")) == 2
         assert sentence in capsys.readouterr().err
-    joint.write_text(whole[:-9])
+    joint.write_bytes(whole[:-20])
     assert main(command(copied, "--verdict-only")) == 2
     assert "not a dataset of recorded rollouts" in capsys.readouterr().err
 

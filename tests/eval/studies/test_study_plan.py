@@ -118,7 +118,7 @@ def test_a_resampled_row_is_its_own_run_of_another_rows_training(tmp_path):
 def test_a_closed_loop_is_the_end_of_a_run_and_a_head_that_drives(tmp_path):
     blocks = [SMALL["runs"][0] | {"closed_loops": DRIVEN}, SMALL["runs"][2] | {"closed_loops": DRIVEN}]
     plan = plan_study(small(tmp_path, runs=blocks))
-    files = [f"ring/B-400/seed-0/000400-{control}.rollouts.json" for control in ("joint", "position")]
+    files = [f"ring/B-400/seed-0/000400-{control}.rollouts.json.gz" for control in ("joint", "position")]
     assert [loop.file.as_posix() for loop in plan.loops] == files  # the first seed's, and each once
     assert {(loop.run.name, loop.episodes, loop.importance) for loop in plan.loops} == {("ring/B-400/seed-0", 9, 2)}
     asked = {"importance": 1, "closed_loops": DRIVEN | {"seeds": [0, 1], "rows": ["A", "B"]}}
