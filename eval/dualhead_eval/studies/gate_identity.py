@@ -17,6 +17,7 @@ import yaml
 
 from dualhead_eval.evaluation.protocol import described_coupling
 from dualhead_eval.gate import Gate
+from dualhead_eval.gate.gate import DRAWS
 from dualhead_eval.studies.study_file import Bank, StudyDataset
 from dualhead_eval.studies.study_plan import StudyEvaluation, StudyLoop, StudyRun
 
@@ -91,7 +92,8 @@ def _differences(
     """(what, found, wanted) of everything in which a gate differs."""
     provenance, run = gate.provenance, evaluation.run
     expected: list[tuple[str, Any, Any]] = [
-        ("method", provenance.get("method"), "policy"),
+        ("method", provenance.get("method"), "policy" if run.draws is None else DRAWS),
+        ("head", provenance.get("head"), run.draws),
         *_training(provenance, run, evaluation.step, policy),
         ("pairs_per_condition", provenance.get("pairs_per_condition"), bank.pairs),
         ("evaluation seed", provenance.get("seed"), bank.seed),

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from dualhead_eval.evaluation.conditions import ConditionBank
-from dualhead_eval.evaluation.open_loop import evaluate
+from dualhead_eval.evaluation.open_loop import PairSource, evaluate
 from dualhead_eval.evaluation.protocol import EvaluationProtocol
-from dualhead_eval.evaluation.samplers import EvaluatedSampler
 from dualhead_eval.gate import Gate, write_gate
 from dualhead_eval.gate.compact import compact_gate
 from dualhead_eval.studies.study_file import Bank
@@ -19,7 +18,7 @@ from dualhead_eval.studies.study_plan import StudyEvaluation
 def evaluate_study_run(
     evaluation: StudyEvaluation,
     bank: Bank,
-    sampler: EvaluatedSampler,
+    sampler: PairSource,
     conditions: ConditionBank,
     folder: str | Path,
     *,
@@ -33,7 +32,8 @@ def evaluate_study_run(
     Args:
         evaluation: What is evaluated.
         bank: Its bank.
-        sampler: The checkpoint, opened with :func:`dualhead_eval.evaluation.samplers.open_policy`.
+        sampler: The checkpoint, opened with :func:`dualhead_eval.evaluation.samplers.open_policy`; draws of one head
+            where its row asks for them.
         conditions: The whole test split of its dataset.
         folder: Folder of the gate files.
         training_data: Fingerprint of the training split.

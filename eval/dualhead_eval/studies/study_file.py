@@ -63,28 +63,37 @@ class Bank(Schema):
 
 
 class ResampledRow(Schema):
-    """A row that trains nothing: another row's checkpoints, their noise or token drawn otherwise in sampling.
+    """A row that trains nothing: another row's checkpoints, sampled otherwise.
 
     Heads whose losses are separate learn the same velocity fields under every coupling of the noise, and any heads
     under every draw of the token, whose learned prior sends them no gradient: a question to the sampler alone.
+    Two independent draws of one head are coordinated by nothing, whatever couples the heads.
 
     Attributes:
         name: The row.
         of: The configuration whose checkpoints are sampled.
         source_noise_beta: Coupling of the heads' source noise in sampling, 1 private to 0 shared; None: as trained.
         token_draw: Distribution of the tokens in sampling; None: as trained.
+        draws: The head of which two independent draws are a pair; None: the pair is the two heads.
     """
 
     name: Name
     of: Name
     source_noise_beta: Annotated[float, Field(ge=0, le=1)] | None = None
     token_draw: Literal["uniform", "marginal", "learned"] | None = None
+    draws: Literal["joint", "position"] | None = None
 
     @model_validator(mode="after")
     def _samples_otherwise(self) -> Self:
-        if self.source_noise_beta is None and self.token_draw is None:
+        coupled = self.source_noise_beta is not None or self.token_draw is not None
+        if not coupled and self.draws is None:
             raise ValueError(
-                f"its resampled row {self.name!r} samples as {self.of!r} does: give source_noise_beta or token_draw"
+                f"its resampled row {self.name!r} samples as {self.of!r} does: give source_noise_beta, token_draw or "
+                "draws"
+            )
+        if coupled and self.draws is not None:
+            raise ValueError(
+                f"its resampled row {self.name!r} couples heads and pairs draws of one: give draws alone, or none"
             )
         return self
 

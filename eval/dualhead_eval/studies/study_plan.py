@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 from dualhead_eval.studies.study_file import Bank, RunBlock, StudyDataset, StudyFile
 from dualhead_policy.sampling import SamplingCoupling
@@ -41,6 +42,7 @@ class StudyRun:
         importance: The most important block that needs it, 1 being the first.
         trained_as: Name of the configuration whose training it is, where that is another row's.
         coupling: What the heads share in sampling, the policy's own way by default.
+        draws: The head of which two independent draws are a pair; None where the pair is the two heads.
     """
 
     dataset: str
@@ -53,6 +55,7 @@ class StudyRun:
     importance: int
     trained_as: str | None = None
     coupling: SamplingCoupling = POLICYS_OWN
+    draws: Literal["joint", "position"] | None = None
 
     @property
     def cell(self) -> str:
@@ -325,7 +328,13 @@ def _plan_block(study: StudyFile, block: RunBlock) -> StudyPlan:
             importance=block.importance,
         )
         resampled = [
-            replace(trained, configuration=row.name, trained_as=configuration.name, coupling=row.coupling)
+            replace(
+                trained,
+                configuration=row.name,
+                trained_as=configuration.name,
+                coupling=row.coupling,
+                draws=row.draws,
+            )
             for row in block.resampled
             if row.of == configuration.name
         ]
@@ -348,7 +357,7 @@ def _plan_loops(block: RunBlock, run: StudyRun) -> list[StudyLoop]:
 
 
 def _identity(run: StudyRun) -> tuple[object, ...]:
-    return run.config, dict(run.flags), run.seed, run.steps, run.trained_as, run.coupling
+    return run.config, dict(run.flags), run.seed, run.steps, run.trained_as, run.coupling, run.draws
 
 
 def _same(what: str, name: str, first: object, second: object) -> None:

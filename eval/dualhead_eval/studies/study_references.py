@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dualhead_eval.gate import Gate, read_gate, write_gate
+from dualhead_eval.gate.gate import DRAWS
 from dualhead_eval.paper.mechanism import mechanism_of
 from dualhead_eval.statistics.run_summary import summarise_run
 from dualhead_eval.studies.gate_identity import wanted_policy
@@ -80,7 +81,9 @@ class StudyReferences:
 
 
 def has_reference(gate: Gate) -> bool:
-    """Whether a policy's loss has a reference at all: no latent, and no token but the oracle drawn uniformly."""
+    """Whether two heads' loss has a reference at all: no latent, and no token but the oracle drawn uniformly."""
+    if gate.provenance.get("method") == DRAWS:
+        return False
     mechanism, config = mechanism_of(gate), gate.provenance.get("config") or {}
     return mechanism.latent is None and (
         mechanism.token is None
@@ -110,7 +113,7 @@ def write_missing_references(plan: StudyPlan, data: Path, folder: Path) -> bool:
     for evaluation in plan.evaluations:
         bank, root = plan.bank(evaluation), data / evaluation.run.dataset / "test"
         ring = plan.datasets[evaluation.run.dataset].env.startswith("RotatingRing")
-        if not ring or len(bank.nfes) > 1 or bank.taus or not root.is_dir():
+        if evaluation.run.draws or not ring or len(bank.nfes) > 1 or bank.taus or not root.is_dir():
             continue
         policy = wanted_policy(evaluation.run)
         for field in ("source_noise_beta", "token_draw"):

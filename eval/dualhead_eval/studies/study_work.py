@@ -173,6 +173,7 @@ def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace
     import torch
 
     from dualhead_eval.evaluation.conditions import open_conditions
+    from dualhead_eval.evaluation.draws import HeadPaths, PolicyDraws
     from dualhead_eval.evaluation.samplers import open_policy
     from dualhead_eval.studies.study_evaluation import evaluate_study_run
     from dualhead_policy.training.checkpoints import window_origin
@@ -181,7 +182,9 @@ def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace
         torch.set_num_threads(1)
     folder = place.checkpoint(evaluation.run, evaluation.step)
     origin = window_origin(folder.parent)
-    sampler = open_policy(folder, device="cuda" if torch.cuda.is_available() else "cpu")
+    policy = open_policy(folder, device="cuda" if torch.cuda.is_available() else "cpu")
+    draws = evaluation.run.draws
+    sampler = policy if draws is None else PolicyDraws(HeadPaths(policy, draws))
     evaluate_study_run(
         evaluation,
         plan.bank(evaluation),
@@ -190,7 +193,7 @@ def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace
         place.gates,
         training_data="" if origin is None else origin.dataset,
         precision=place.precision,
-        device=str(sampler.provenance["training"].get("device") or "unknown"),
+        device=str(policy.provenance["training"].get("device") or "unknown"),
     )
 
 

@@ -49,8 +49,14 @@ STUDY = {
         },
         {
             "importance": 2,
-            "configurations": [{"name": "A_independent", "flags": {"policy.source_noise_beta": 1.0}}],
-            "resampled": [{"name": "B_in_sampling", "of": "A_independent", "source_noise_beta": 0.0}],
+            "configurations": [
+                {"name": "A_independent", "flags": {"policy.source_noise_beta": 1.0}},
+                {"name": "B_shared_noise", "flags": {"policy.source_noise_beta": 0.0}},
+            ],
+            "resampled": [
+                {"name": "B_in_sampling", "of": "A_independent", "source_noise_beta": 0.0},
+                {"name": "one_head", "of": "B_shared_noise", "draws": "position"},
+            ],
             "seeds": [0, 1],
             "steps": 150,
             "banks": ["large"],
@@ -120,17 +126,18 @@ def copied(finished, tmp_path):
 
 def test_a_study_goes_from_its_file_to_its_verdict(finished):
     gates = sorted(path.relative_to(finished / "results" / "gates").as_posix() for path in _gates(finished))
+    on_the_way = ("000050-frozen", "000150-frozen")
+    asked = [(row, point) for row in ("A_independent", "B_shared_noise") for point in on_the_way]
+    asked += [(row, "000150-large") for row in ("A_independent", "B_shared_noise", "B_in_sampling", "one_head")]
     assert gates == sorted(
-        [f"ring/{name}-150/seed-{seed}/{step}-frozen.gate.json.gz" for name in ("A_independent", "B_shared_noise")
-         for seed in (0, 1) for step in ("000050", "000150")]
-        + [f"ring/{name}-150/seed-{seed}/000150-large.gate.json.gz" for name in ("A_independent", "B_in_sampling")
-           for seed in (0, 1)]
-    )  # fmt: skip
+        f"ring/{row}-150/seed-{seed}/{point}.gate.json.gz" for row, point in asked for seed in (0, 1)
+    )
     rows = list(csv.DictReader((finished / "results" / "small" / "table.csv").open()))
     assert len(rows) == len(gates)
     assert {row["paper_row"] for row in rows} == {
         "testbed/A independent/nullspace",
         "testbed/B shared source noise/nullspace",
+        "",  # draws of one head
     }
     for row in rows:
         assert 0 < float(row["valid_rate"]) <= 1
@@ -198,9 +205,21 @@ def test_a_resampled_row_trains_nothing_and_has_the_couplings_reference(finished
     assert {gate.provenance["run"]["name"] for gate in gates.values()} == {"ring/A_independent-150/seed-0"}
     with (finished / "results/small/table.csv").open() as file:
         exact = {
-            row["configuration"]: float(row["exact_rho"]) for row in csv.DictReader(file) if row["bank"] == "large"
+            row["configuration"]: float(row["exact_rho"])
+            for row in csv.DictReader(file)
+            if row["bank"] == "large" and row["configuration"] != "one_head"
         }
     assert exact["B_in_sampling"] < -0.1 < exact["A_independent"] < 0.1
+
+
+def test_draws_of_one_head_are_coordinated_by_nothing_and_no_row_of_the_papers(finished):
+    with (finished / "results/small/table.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["bank"] == "large"]
+    one, two = ([row for row in rows if row["configuration"] == name] for name in ("one_head", "B_shared_noise"))
+    assert all(float(row["exact_rho"]) < -0.1 for row in two)
+    assert {(row["exact_rho"], row["paper_row"]) for row in one} == {("", "")}
+    gate = read_gate(finished / "results/gates/ring/one_head-150/seed-0/000150-large.gate.json.gz")
+    assert (gate.provenance["method"], gate.provenance["head"]) == ("draws of one policy", "position")
 
 
 def test_a_checkpoint_on_the_way_is_judged_by_its_own_losses(finished):
@@ -217,7 +236,7 @@ def test_a_finished_study_changes_nothing_and_needs_neither_data_nor_runs(copied
     assert main(command(copied)) == 0
     assert contents(copied) == before
     out = capsys.readouterr().out
-    assert "12 of 12 evaluations are there" in out
+    assert "16 of 16 evaluations are there" in out
     assert "floor" in out
     assert not (copied / "data").exists()
 
@@ -246,7 +265,7 @@ def test_a_short_budget_is_spent_on_what_is_important(copied, capsys):
     assert not large.exists()
     assert not (copied / "data").exists()
     out = capsys.readouterr().out
-    assert "11 of 12 evaluations are there" in out
+    assert "15 of 16 evaluations are there" in out
     assert "of importance 1 or more: 8 of 8" in out
     assert "missing ring" not in out  # nobody asked for it
     assert main(command(copied, "--importance", "0")) != 0
@@ -258,7 +277,7 @@ def test_missing_gate_files_are_named(copied, capsys):
         path.unlink()
     assert main(command(copied, "--verdict-only")) == 0
     out = capsys.readouterr().out
-    assert "10 of 12 evaluations are there" in out
+    assert "14 of 16 evaluations are there" in out
     assert "missing ring/B_shared_noise-150, seed 1: 000050-frozen.gate.json.gz, 000150-frozen.gate.json.gz" in out
     assert "seed 1 missing" in out
 
@@ -267,7 +286,7 @@ def test_a_study_without_any_result_says_what_is_missing(tmp_path, capsys):
     write_study(tmp_path)
     assert main(command(tmp_path, "--verdict-only")) == 0
     out = capsys.readouterr().out
-    assert "0 of 12 evaluations are there" in out
+    assert "0 of 16 evaluations are there" in out
     assert "not graded" in out
     assert not (tmp_path / "results").exists()
 
@@ -339,7 +358,7 @@ def test_demonstrations_recorded_on_another_processor_are_the_same_demonstration
     write_gate(replace(gate, conditions=last_bits), path, overwrite=True)
     assert main(command(copied, "--verdict-only")) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "12 of 12" in said
+    assert "16 of 16" in said
     assert "ring: the same demonstrations recorded on 2 kinds of processor" in said
 
 
@@ -353,7 +372,7 @@ def test_a_gate_from_another_machine_is_taken_by_what_it_holds(copied, capsys):
     gate.provenance["config"].pop("embedding_gain")
     write_gate(gate, path, overwrite=True)
     assert main(command(copied, "--verdict-only")) == 0
-    assert "12 of 12" in capsys.readouterr().out
+    assert "16 of 16" in capsys.readouterr().out
     assert "bf16,cuda" in (copied / "results" / "small" / "table.csv").read_text()
 
 

@@ -156,6 +156,15 @@ def test_one_name_for_two_things_is_refused(tmp_path):
             "is of .C., expected one",
         ),
         ({"runs": [SMALL["runs"][2] | {"resampled": [{"name": "D", "of": "B"}]}]}, "samples as .B. does"),
+        (
+            {
+                "runs": [
+                    SMALL["runs"][2]
+                    | {"resampled": [{"name": "D", "of": "B", "draws": "joint", "token_draw": "uniform"}]}
+                ]
+            },
+            "couples heads and pairs draws of one",
+        ),
         ({"runs": [SMALL["runs"][2] | {"closed_loops": DRIVEN | {"rows": ["A"]}}]}, "closed_loops: names the row 'A'"),
         ({"runs": [SMALL["runs"][2] | {"closed_loops": DRIVEN | {"seeds": [7]}}]}, "closed_loops: names the seed 7"),
         ({"runs": [SMALL["runs"][2] | {"closed_loops": DRIVEN | {"controls": ["hand"]}}]}, "controls"),

@@ -7,6 +7,7 @@ import numpy as np
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap
 from dualhead_eval.effects.sites import CORNER_CAPACITY, CORNER_RHO, Occupancy
 from dualhead_eval.gate import Gate
+from dualhead_eval.gate.gate import DRAWS
 from dualhead_eval.paper.claims.grade import FAILS, HOLDS, OPEN, UNGRADED
 from dualhead_eval.paper.mechanism import mechanism_of
 from dualhead_eval.paper.numbers import paper_row
@@ -149,7 +150,8 @@ def shared_noise_law(gate: Gate) -> float | None:
     joint head's noise to the plane. None where it depends on the condition, as under a reflection.
     """
     mechanism = mechanism_of(gate)
-    if mechanism.environment != "testbed" or mechanism.n_modes != 2 or mechanism.beta != 0:
+    two_heads = gate.provenance.get("method") != DRAWS
+    if not two_heads or mechanism.environment != "testbed" or mechanism.n_modes != 2 or mechanism.beta != 0:
         return None
     if mechanism.largest_prior > 0.5 + 1e-9:
         return None
