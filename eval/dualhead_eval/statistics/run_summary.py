@@ -8,6 +8,7 @@ reported beside the run's, and their difference is the Simpson term of rmk:simps
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,6 +120,11 @@ class RunSummary:
     name: str = ""
     p_value_is_bound: bool = False
     adjusted_p_value: float = float("nan")
+
+    @property
+    def entropy_relative(self) -> float:
+        """Modal entropy relative to ln K, mean of both heads; 1 if every mode is as frequent, 0 after collapse."""
+        return (self.entropy_q + self.entropy_p) / 2 / math.log(self.n_modes)
 
     @property
     def readable(self) -> bool:

@@ -162,7 +162,7 @@ class BesideCriterion(CriterionBase):
 
     test: Literal["beside"]
     margin: Share
-    statistic: Literal["rho", "relative_capacity"] = "rho"
+    statistic: Literal["rho", "relative_capacity", "relative_entropy"] = "rho"
 
 
 class TrendCriterion(CriterionBase):

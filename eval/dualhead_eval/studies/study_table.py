@@ -14,8 +14,8 @@ from dualhead_eval.studies.study_references import StudyReferences
 
 COLUMNS = (
     "dataset", "configuration", "budget", "seed", "step", "bank", "rho", "rho_low", "rho_high", "valid_rate",
-    "capacity", "capacity_relative", "delta", "obs", "bl", "residual_mm", "tv_target", "readable", "site",
-    "final_loss", "plateaued", "judged_loss", "paper_row", "paper_rho", "exact_rho", "n_conditions",
+    "capacity", "capacity_relative", "delta", "obs", "bl", "residual_mm", "tv_target", "entropy_relative", "readable",
+    "site", "final_loss", "plateaued", "judged_loss", "paper_row", "paper_rho", "exact_rho", "n_conditions",
     "pairs_per_condition", "tau", "nfe",
     "dataset_fingerprint", "training_fingerprint", "precision", "device",
 )  # fmt: skip
@@ -50,6 +50,7 @@ def study_rows(cells: Iterable[StudyCell], references: StudyReferences) -> list[
                     "bl": first.bl,
                     "residual_mm": run.residual_mm,
                     "tv_target": (first.tv_target_q + first.tv_target_p) / 2,
+                    "entropy_relative": first.entropy_relative,
                     "readable": first.readable,
                     "site": first.occupancy.site,
                     "final_loss": training.get("final_loss"),

@@ -225,6 +225,22 @@ def test_a_draw_that_repairs_frequency_and_effect(cell):
     assert graded([uniform, weaker], criterion).grade == "does not hold"
 
 
+@pytest.mark.parametrize(("kept", "grade"), [(0.02, "holds"), (0.5, "does not hold")])
+def test_entropy_and_capacity_of_a_collapse_beside_the_paper(cell, kept, grade):
+    # KL weight 0.01 at p = .92: the paper's heads keep C / max C .006 and entropy / ln K .017.
+    built = cell("A", [0.0, 0.0], target=[0.92, 0.08], config={"latent": "posterior", "kl_weight": 0.01})
+    runs = []
+    for run in built.runs:
+        counts = np.zeros_like(run.gate.counts)
+        counts[..., 0, 0], counts[..., 1, 1] = round(1000 * (1 - kept)), round(1000 * kept)
+        runs.append(open_run(replace(run.gate, counts=counts, strata={})))
+    built = replace(built, runs=tuple(runs))
+    for statistic in ("relative_capacity", "relative_entropy"):
+        found = graded([built], {"test": "beside", "rows": ["A"], "margin": 0.1, "statistic": statistic})
+        assert found.grade == grade
+        assert "paper 0.0" in found.evidence
+
+
 def test_the_paper_beside_a_cell(cell):
     setting = {"config": {"source_noise_beta": 0.0, "kinematic_map": "ring/nullspace"}}
     criterion = {"test": "beside", "rows": ["B"], "margin": 0.05}

@@ -19,6 +19,12 @@ from dualhead_eval.studies.grading.collapse_rows import collapse_number
 from dualhead_eval.studies.grading.grade import CellGrade, points, seeds_behind
 from dualhead_eval.studies.study_cells import StudyCell
 
+#: Statistics of tab:collapse: the run's, the paper's, and how they are shown.
+COLLAPSE = {
+    "relative_capacity": ("capacity_relative", "C_rel", "C / max C"),
+    "relative_entropy": ("entropy_relative", "entropy_rel", "entropy / ln K"),
+}
+
 
 def grade_equivalence(cell: StudyCell, margin: float) -> CellGrade:
     """TOST of rho with the seed as the unit."""
@@ -108,10 +114,12 @@ def grade_minimum(cell: StudyCell, at_least: float) -> CellGrade:
 
 def grade_beside(cell: StudyCell, statistic: str, margin: float) -> CellGrade:
     """The mean against the paper's printed cell."""
-    if statistic == "relative_capacity":
-        ours = float(np.mean([run.first.capacity_relative for run in cell.runs]))
-        theirs = collapse_number(cell.runs[0].gate, "C_rel")
-        evidence = f"C / max C {ours:.3f}"
+    if statistic in COLLAPSE:
+        # A collapsed run has no rho; its capacity and entropy are the finding.
+        name, quantity, shown = COLLAPSE[statistic]
+        ours = float(np.mean([getattr(run.first, name) for run in cell.runs]))
+        theirs = collapse_number(cell.runs[0].gate, quantity)
+        evidence = f"{shown} {ours:.3f}"
     else:
         ours = cell.mean("rho")
         figure = paper_row(cell.paper_row).get("rho")
@@ -119,7 +127,7 @@ def grade_beside(cell: StudyCell, statistic: str, margin: float) -> CellGrade:
         evidence = f"rho {points(ours, cell.interval())}"
     if theirs is None or ours != ours:
         return CellGrade(cell.name, UNGRADED, f"{evidence}, paper none")
-    paper = f"{theirs:.3f}" if statistic == "relative_capacity" else points(theirs)
+    paper = f"{theirs:.3f}" if statistic in COLLAPSE else points(theirs)
     return CellGrade(cell.name, HOLDS if abs(ours - theirs) <= margin else FAILS, f"{evidence}, paper {paper}")
 
 
