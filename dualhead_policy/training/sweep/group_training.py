@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -91,6 +91,7 @@ def _train_members(group: Group, runs: Sequence[SweepRun], outcome: dict[str, di
                 by_step.setdefault(training.step, {})[name] = training
             # Runs of one group are at one step, unless somebody has continued or deleted one of them.
             for together in by_step.values():
+                _save_together(together.values())
                 failed = _train_together(group, together)
                 for name in together:
                     sentence = failed.get(name)
@@ -123,6 +124,13 @@ def _train_members(group: Group, runs: Sequence[SweepRun], outcome: dict[str, di
     )
     _train_members(group, left[:half], outcome)
     _train_members(group, left[half:], outcome)
+
+
+def _save_together(trainings: Collection[Any]) -> None:
+    """Let every run of a group save where any of them wants to: a group is at one step as a whole."""
+    points = frozenset().union(*(training.save_at for training in trainings))
+    for training in trainings:
+        training.save_at = points
 
 
 def _built(

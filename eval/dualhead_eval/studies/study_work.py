@@ -83,12 +83,12 @@ def do_missing_work(
         _evaluate(plan, [one for one in evaluations if place.has(one.run, one.step)], place, say, importance)
         untrained = [one.run for one in waiting] + [one.run for one in loops if not place.has(one.run, one.run.steps)]
         if runs := plan.trainings(untrained):
-            say(f"importance {importance}: training {len(runs)} runs")
+            say(f"importance {importance}: training {_counted(len(runs), 'run')}")
             _train(runs, place)
             _refuse_unsaved(waiting, place)
         _evaluate(plan, waiting, place, say, importance)
         if loops:
-            say(f"importance {importance}: recording {len(loops)} closed loops")
+            say(f"importance {importance}: recording {_counted(len(loops), 'closed loop')}")
             _each("closed loops", _drive_one, plan, loops, place)
 
 
@@ -140,7 +140,7 @@ def _evaluate(
     plan: StudyPlan, wanted: Sequence[StudyEvaluation], place: Workplace, say: Callable[[str], object], importance: int
 ) -> None:
     if wanted:
-        say(f"importance {importance}: evaluating {len(wanted)} checkpoints")
+        say(f"importance {importance}: evaluating {_counted(len(wanted), 'checkpoint')}")
         _each("evaluations", _evaluate_one, plan, wanted, place)
 
 
@@ -227,6 +227,10 @@ def _drive_one(plan: StudyPlan, loop: StudyLoop, place: Workplace) -> None:
             provenance=policy_provenance(policy, folder),
         )
     ClosedLoopStore(place.closed_loops).keep(recording, plan, loop)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _standard_error() -> Any:

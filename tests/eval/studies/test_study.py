@@ -249,8 +249,8 @@ def test_what_is_trained_is_evaluated_before_more_is_trained(finished, tmp_path,
     (tmp_path / "runs" / runs[0] / "checkpoints/000150/pretrained_model/config.json").unlink()
     assert main(command(tmp_path)) == 2  # the sweep counts that run as finished
     said = capsys.readouterr()
-    assert "evaluating 1 checkpoints" in said.out
-    assert "training 1 runs" in said.out
+    assert "evaluating 1 checkpoint\n" in said.out
+    assert "training 1 run\n" in said.out
     assert "seed-1 is trained and has no checkpoint of step 150, which the study evaluates: move" in said.err
     assert [(tmp_path / "results/gates" / run / "000150-frozen.gate.json.gz").is_file() for run in runs] == [
         False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -106,6 +107,16 @@ def test_a_sweep_goes_on_from_its_checkpoints_to_the_same_weights(ring_data, tmp
     for name in names:
         whole, resumed = weights(tmp_path / "whole" / name), weights(tmp_path / "cut" / name)
         assert all(torch.equal(whole[key], resumed[key]) for key in whole)
+
+
+def test_a_group_saves_where_any_of_its_runs_wants_to(ring_data, tmp_path):
+    names = ["ring/oracle/seed-0", "ring/oracle/seed-1"]
+    group = group_of(sweep_file(tmp_path, ring_data), tmp_path / "out", *names)
+    first, second = group.runs
+    train_group(replace(group, runs=(first, replace(second, save_at=(3,)))))
+    saved = [sorted(path.name for path in (tmp_path / "out" / name / "checkpoints").iterdir()) for name in names]
+    assert saved[0] == saved[1]
+    assert "000003" in saved[0]
 
 
 def test_a_kill_between_staging_and_publishing_leaves_checkpoints_of_one_step(tmp_path):
