@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,10 @@ def document_cases(products: Products) -> Iterator[Case]:
     whole = products.rollouts
     for what, damage in byte_damages(whole.stat().st_size, rng):
         yield file_case(f"rollouts: {what}", whole, damage, report)
+    packed = whole.with_name("packed.rollouts.json.gz")
+    packed.write_bytes(gzip.compress(whole.read_bytes(), mtime=0))
+    for what, damage in byte_damages(packed.stat().st_size, np.random.default_rng(3)):
+        yield file_case(f"compressed rollouts: {what}", packed, damage, report)
     yield file_case("rollouts: a field given twice", whole, doubled, report)
     document = json.loads(whole.read_text())
     free = ("policy", "partition.parameters", "env_kwargs", "outcomes.0.seed", "held_pairs")
