@@ -22,9 +22,7 @@ def grade_closed_loop(result: LoopResult, criterion: ClosedLoopCriterion) -> Cel
         grade = FAILS
     else:
         grade = HOLDS if all(interval.low >= bound for interval, bound in checked) else OPEN
-    shown = [f"success {shown_success(outcome.successes, outcome.episodes)}"]
-    shown += [
-        f"way {way.mode} {shown_success(way.successes, way.episodes) if way.episodes else 'never taken'}"
-        for way in ways
-    ]
-    return CellGrade(result.name, grade, ", ".join(shown))
+    least = min(ways, key=lambda way: way.success_interval.low if way.episodes else -1.0)
+    taken = shown_success(least.successes, least.episodes) if least.episodes else "never taken"
+    shown = f"success {shown_success(outcome.successes, outcome.episodes)}, least by way {least.mode}: {taken}"
+    return CellGrade(result.name, grade, shown)
