@@ -50,10 +50,19 @@ class StudyCell:
         return self.step == self.budget
 
     @property
+    def valid(self) -> tuple[Run, ...]:
+        """The seeds that are, on the ring, valid enough to be read; a collapsed one may be."""
+        return tuple(run for run in self.runs if run.first.readable or run.first.partition != "ring")
+
+    @property
     def read(self) -> tuple[Run, ...]:
-        """The seeds whose rho can be read: defined and, on the ring, valid enough."""
-        kept = (run for run in self.runs if run.first.readable or run.first.partition != "ring")
-        return tuple(run for run in kept if run.first.rho == run.first.rho)
+        """The seeds whose rho can be read: valid enough, and defined."""
+        return tuple(run for run in self.valid if run.first.rho == run.first.rho)
+
+    @property
+    def valid_rate(self) -> float:
+        """Mean share of valid pairs over all seeds."""
+        return float(np.mean([run.first.valid_rate for run in self.runs]))
 
     def by_seed(self, name: str) -> dict[int, float]:
         """A statistic of the seeds that can be read, by training seed."""

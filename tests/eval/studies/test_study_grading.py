@@ -123,6 +123,14 @@ def test_capacity_against_the_targets_own(cell):
     assert graded([skewed], near | {"within": None, "at_least": 0.8, "of": "maximum"}).grade == "does not hold"
 
 
+def test_capacity_is_not_read_where_few_pairs_are_valid(cell):
+    criterion = {"test": "capacity", "rows": ["A"], "of": "maximum", "at_least": 0.8}
+    assert graded([cell("A", [0.0, 0.0, 0.0])], criterion).grade == "holds"
+    found = graded([cell("A", [0.0, 0.0, 0.0], valid=0.5)], criterion)
+    assert found.grade == "not graded"
+    assert "not read: 0." in found.evidence
+
+
 def test_rows_of_different_budgets_are_not_compared(cell):
     short, base, longer = (
         cell("G", [0.4, 0.42, 0.38]),

@@ -88,11 +88,14 @@ def grade_capacity(cell: StudyCell, criterion: CapacityCriterion) -> CellGrade:
     """Capacity, as it is or relative to a maximum, against bounds of the cell's dataset."""
     scale = {"absolute": 1.0, "maximum": 1 - 1 / cell.n_modes, "target": cell.target_capacity}[criterion.of]
     # A collapsed run has no rho; its capacity is the finding.
-    capacities = np.array([run.first.capacity for run in cell.runs]) / scale
+    runs = cell.valid or cell.runs
+    capacities = np.array([run.first.capacity for run in runs]) / scale
     mean = float(np.mean(capacities))
     below, at_least = (_bound(bound, cell.dataset) for bound in (criterion.below, criterion.at_least))
     unit = {"absolute": "C", "maximum": "C / max C", "target": "C / target's C"}[criterion.of]
     evidence = f"{unit} {mean:.3f} ({', '.join(f'{value:.3f}' for value in capacities)})"
+    if not cell.valid:
+        return CellGrade(cell.name, UNGRADED, f"{evidence}, {_too_few(cell)}")
     checks = [
         *([mean < below] if below is not None else []),
         *([mean >= at_least] if at_least is not None else []),
@@ -117,9 +120,11 @@ def grade_beside(cell: StudyCell, statistic: str, margin: float) -> CellGrade:
     if statistic in COLLAPSE:
         # A collapsed run has no rho; its capacity and entropy are the finding.
         name, quantity, shown = COLLAPSE[statistic]
-        ours = float(np.mean([getattr(run.first, name) for run in cell.runs]))
+        ours = float(np.mean([getattr(run.first, name) for run in cell.valid or cell.runs]))
         theirs = collapse_number(cell.runs[0].gate, quantity)
         evidence = f"{shown} {ours:.3f}"
+        if not cell.valid:
+            evidence, theirs = f"{evidence}, {_too_few(cell)}", None
     else:
         ours = cell.mean("rho")
         figure = paper_row(cell.paper_row).get("rho")
@@ -171,6 +176,10 @@ def shared_noise_law(gate: Gate) -> float | None:
     if not np.allclose(symmetric, symmetric[0, 0] * np.eye(2)):
         return None
     return float(2 / np.pi * np.arcsin(np.clip(symmetric[0, 0], -1, 1)))
+
+
+def _too_few(cell: StudyCell) -> str:
+    return f"not read: {cell.valid_rate:.3f} of the pairs are valid"
 
 
 def _bound(bound: Bound | None, dataset: str) -> float | None:
