@@ -6,6 +6,7 @@ written yet. Work is done in the order of its importance, so that a short budget
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,6 +151,8 @@ def _each[T](
     """Do something to each of some items, as many at a time as the workplace has jobs."""
     from joblib import Parallel, delayed, parallel_config
 
+    from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers, workers_ended_afterwards
+
     bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -159,11 +162,23 @@ def _each[T](
         console=_standard_error(),
     )
     jobs = min(place.jobs, len(wanted))
-    with bars, parallel_config(backend="loky" if jobs > 1 else "sequential"):
+    with bars:
         task = bars.add_task(what, total=len(wanted))
-        parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-        for _ in parallel(delayed(do)(plan, item, place) for item in wanted):
-            bars.advance(task)
+        if jobs == 1:
+            for item in wanted:
+                do(plan, item, place)
+                bars.advance(task)
+            return
+        # The workers end with this process, however that ends.
+        with (
+            workers_ended_afterwards(),
+            parallel_config(backend="loky", initializer=end_with, initargs=(os.getpid(),)),
+        ):
+            parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+            with interrupts_kept_from_workers():
+                done = parallel(delayed(do)(plan, item, place) for item in wanted)
+            for _ in done:
+                bars.advance(task)
 
 
 def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace) -> None:
