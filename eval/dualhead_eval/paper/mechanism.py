@@ -34,6 +34,7 @@ class Mechanism:
         latent: None, ``"prior"`` or ``"posterior"``.
         latent_dim: Dimension of the latent; 0 is the anchor.
         kl_weight: KL weight of the posterior.
+        free_bits: Its free bits, nats a dimension.
         reference: Whether the run is the exact (or moment-matched) reference rather than a trained policy.
         largest_prior: Largest mode probability of the data, NaN where it is unknown.
         standard: False if the setting (priors, spacing, spread, coupling of tokens, a third head) is not that of the
@@ -51,6 +52,7 @@ class Mechanism:
     latent: str | None
     latent_dim: int
     kl_weight: float
+    free_bits: float
     reference: bool
     largest_prior: float
     standard: bool
@@ -67,7 +69,7 @@ class Mechanism:
             name = f"posterior kl{self.kl_weight:g}"
             if self.environment != "testbed":
                 return "E posterior all"
-            return name + (" fb0.5" if self.kl_weight == 1 else "")
+            return name + (f" fb{self.free_bits:g}" if self.free_bits else "")
         if self.latent == "prior":
             return "C zs dim0 anchor" if self.latent_dim == 0 else "D continuous zs prior"
         if self.consistency > 0:
@@ -144,6 +146,7 @@ def mechanism_of(gate: Gate) -> Mechanism:
         latent=settings.get("latent"),
         latent_dim=int(settings.get("latent_dim") or 0),
         kl_weight=float(settings.get("kl_weight") or 0.0),
+        free_bits=float(settings.get("free_bits") or 0.0),
         reference="reference" in str(provenance.get("method", "")),
         largest_prior=float("nan") if probabilities is None else float(probabilities.max()),
         standard=bool(standard),

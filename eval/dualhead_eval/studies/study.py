@@ -107,7 +107,7 @@ def judge_study(study: StudyFile, plan: StudyPlan, folders: StudyFolders, data: 
             if changed or not figure.is_file():
                 from dualhead_eval.studies.study_figure import draw_study
 
-                draw_study(cells, references, figure)
+                draw_study(cells, references, figure, study.figure)
     return StudyVerdict(cells, grades, missing, loops, loop_store.missing(plan), references, table, figure)
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, NullLocator, PercentFormatter
+from numpy.typing import NDArray
 
 from dualhead_eval.atomic_text import write_bytes
 from dualhead_eval.paper.numbers import paper_row
+from dualhead_eval.statistics.seeds import seed_t_interval
+from dualhead_eval.studies.grading.collapse_rows import collapse_number
 from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_plan import shown_budget
 from dualhead_eval.studies.study_references import StudyReferences
@@ -22,13 +27,58 @@ CURVE = 3
 OURS, PAPER, EXACT = "tab:blue", "tab:red", "black"
 
 
-def draw_study(cells: Sequence[StudyCell], references: StudyReferences, path: Path) -> None:
+@dataclass(frozen=True)
+class Quantity:
+    """What a forest shows of every cell.
+
+    Attributes:
+        label: Its axis.
+        values: The seeds that can be read.
+        paper: The paper's number, None if it prints none.
+        exact: What the paper's number is held against, None if there is nothing.
+        exact_label: What that is.
+    """
+
+    label: str
+    values: Callable[[StudyCell], NDArray[np.float64]]
+    paper: Callable[[StudyCell], float | None]
+    exact: Callable[[StudyCell], float | None]
+    exact_label: str
+
+
+def quantity(name: Literal["rho", "capacity"], references: StudyReferences) -> Quantity:
+    """rho beside the optimum of the loss, or C / max C beside that of the data's own mode frequencies."""
+    if name == "rho":
+        return Quantity(r"$\rho$", lambda cell: cell.values("rho"), _printed_rho, references.rho, "exact optimum")
+
+    def datas_own(cell: StudyCell) -> float | None:
+        own = cell.target_capacity / (1 - 1 / cell.n_modes)
+        return own if own == own else None
+
+    return Quantity(
+        "C / max C",
+        lambda cell: np.array([run.first.capacity_relative for run in cell.valid], dtype=np.float64),
+        lambda cell: collapse_number(cell.runs[0].gate, "C_rel"),
+        datas_own,
+        "the data's own mode frequencies",
+    )
+
+
+def draw_study(
+    cells: Sequence[StudyCell], references: StudyReferences, path: Path, shown: Literal["rho", "capacity"] = "rho"
+) -> None:
     """Draw a study into a PNG file.
+
+    Args:
+        cells: Its cells.
+        references: Exact references at hand.
+        path: The picture.
+        shown: What of every cell.
 
     Raises:
         ValueError: If no cell has a defined rho.
     """
-    figure = study_figure(cells, references)
+    figure = study_figure(cells, references, shown)
     from io import BytesIO
 
     from PIL import Image
@@ -40,7 +90,9 @@ def draw_study(cells: Sequence[StudyCell], references: StudyReferences, path: Pa
     write_bytes(path, small.getvalue())
 
 
-def study_figure(cells: Sequence[StudyCell], references: StudyReferences) -> Figure:
+def study_figure(
+    cells: Sequence[StudyCell], references: StudyReferences, shown: Literal["rho", "capacity"] = "rho"
+) -> Figure:
     """Curves over steps where rows have them, and a forest of the cells at the end of their runs.
 
     Raises:
@@ -50,27 +102,32 @@ def study_figure(cells: Sequence[StudyCell], references: StudyReferences) -> Fig
     if not drawn:
         raise ValueError("no cell has a defined rho, expected at least one to draw")
     curves = _curves(drawn)
-    if curves:
+    if curves and shown == "rho":
         return _curve_figure(curves, references)
-    return _forest_figure([cell for cell in drawn if cell.final], references)
+    plotted = quantity(shown, references)
+    return _forest_figure([cell for cell in cells if cell.final and plotted.values(cell).size], plotted)
 
 
-def _forest_figure(cells: Sequence[StudyCell], references: StudyReferences) -> Figure:
+def _printed_rho(cell: StudyCell) -> float | None:
+    printed = paper_row(cell.paper_row).get("rho")
+    return None if printed is None else printed.value
+
+
+def _forest_figure(cells: Sequence[StudyCell], plotted: Quantity) -> Figure:
     figure = Figure(figsize=(9.5, 1.6 + 0.26 * len(cells)), dpi=130, layout=ConstrainedLayoutEngine())
     ax, valid = figure.subplots(1, 2, sharey=True, width_ratios=(4, 1))
     rows = np.arange(len(cells))[::-1]
     for row, cell in zip(rows, cells, strict=True):
-        rhos, interval = cell.values("rho"), cell.interval()
-        ax.plot(rhos, np.full(rhos.size, row), "o", color=OURS, markersize=3, alpha=0.5, markeredgewidth=0)
-        ax.plot(rhos.mean(), row, "|", color=OURS, markersize=11, markeredgewidth=2)
-        if interval is not None:
+        values = plotted.values(cell)
+        ax.plot(values, np.full(values.size, row), "o", color=OURS, markersize=3, alpha=0.5, markeredgewidth=0)
+        ax.plot(values.mean(), row, "|", color=OURS, markersize=11, markeredgewidth=2)
+        if values.size > 1:
+            interval = seed_t_interval(values)
             ax.plot([interval.low, interval.high], [row, row], color=OURS, linewidth=1.2)
-        printed = paper_row(cell.paper_row).get("rho")
-        if printed is not None and printed.value is not None:
-            ax.plot(printed.value, row, "D", color=PAPER, markersize=5, fillstyle="none", label="paper")
-        exact = references.rho(cell)
-        if exact is not None:
-            ax.plot(exact, row, "x", color=EXACT, markersize=6, label="exact optimum")
+        if (printed := plotted.paper(cell)) is not None:
+            ax.plot(printed, row, "D", color=PAPER, markersize=5, fillstyle="none", label="paper")
+        if (exact := plotted.exact(cell)) is not None:
+            ax.plot(exact, row, "x", color=EXACT, markersize=6, label=plotted.exact_label)
         rates = np.array([run.first.valid_rate for run in cell.runs])
         valid.plot(rates, np.full(rates.size, row), "o", color="0.3", markersize=3, alpha=0.6, markeredgewidth=0)
     ax.axvline(0, color="0.4", linewidth=0.8)
@@ -78,7 +135,7 @@ def _forest_figure(cells: Sequence[StudyCell], references: StudyReferences) -> F
     ax.set_yticks(rows, labels, fontsize=8)
     ax.set_ylim(-0.7, len(cells) - 0.3)
     _percent(ax.xaxis)
-    ax.set_xlabel(r"$\rho$: seeds, mean and 95% t interval over seeds")
+    ax.set_xlabel(f"{plotted.label}: seeds, mean and 95% t interval over seeds")
     valid.set_xlim(-0.03, 1.03)
     valid.set_xlabel("valid pairs")
     for panel in (ax, valid):

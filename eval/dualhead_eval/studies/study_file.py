@@ -212,6 +212,7 @@ class StudyFile(Schema):
         runs: What is trained and evaluated.
         criteria: By which its claims are judged.
         smoke: Its smallest form.
+        figure: What its picture shows of every cell: rho, or C relative to its maximum.
     """
 
     title: Label
@@ -223,6 +224,7 @@ class StudyFile(Schema):
     runs: list[RunBlock] = Field(min_length=1)
     criteria: list[Criterion] = Field(min_length=1)
     smoke: SmokeBudget = Field(default_factory=SmokeBudget)
+    figure: Literal["rho", "capacity"] = "rho"
 
     @model_validator(mode="after")
     def _names_what_it_has(self) -> Self:

@@ -17,6 +17,8 @@ from dualhead_eval.paper.numbers import paper_numbers, paper_row
         ("ring", 4, {"token": "oracle", "token_draw": "marginal"}, "testbed/oracle token learned prior/K4"),
         ("ring", 2, {"latent": "prior", "latent_dim": 16}, "testbed/D continuous zs prior/polar"),
         ("ring", 8, {"latent": "posterior", "kl_weight": 0.01}, "testbed/posterior kl0.01/K8"),
+        ("ring", 4, {"latent": "posterior", "kl_weight": 1.0, "free_bits": 0.5}, "testbed/posterior kl1 fb0.5/K4"),
+        ("ring", 4, {"latent": "posterior", "kl_weight": 1.0, "free_bits": 0.1}, "testbed/posterior kl1 fb0.1/K4"),
         ("ring", 2, {"source_noise_beta": 0, "consistency_weight": 3}, "testbed/consistency beta0 lambda3/polar"),
         ("ring", 2, {"source_noise_beta": 1, "consistency_weight": 3}, "testbed/consistency beta1 lambda3/K2"),
         ("bypass-v2", 2, {}, "v2/A independent"),

@@ -124,7 +124,7 @@ def grade_beside(cell: StudyCell, statistic: str, margin: float) -> CellGrade:
         theirs = collapse_number(cell.runs[0].gate, quantity)
         evidence = f"{shown} {ours:.3f}"
         if not cell.valid:
-            evidence, theirs = f"{evidence}, {_too_few(cell)}", None
+            evidence = f"{evidence}, {_too_few(cell)}"
     else:
         ours = cell.mean("rho")
         figure = paper_row(cell.paper_row).get("rho")
@@ -133,6 +133,8 @@ def grade_beside(cell: StudyCell, statistic: str, margin: float) -> CellGrade:
     if theirs is None or ours != ours:
         return CellGrade(cell.name, UNGRADED, f"{evidence}, paper none")
     paper = f"{theirs:.3f}" if statistic in COLLAPSE else points(theirs)
+    if not cell.valid:
+        return CellGrade(cell.name, UNGRADED, f"{evidence}, paper {paper}")
     return CellGrade(cell.name, HOLDS if abs(ours - theirs) <= margin else FAILS, f"{evidence}, paper {paper}")
 
 
