@@ -140,8 +140,17 @@ def last_checkpoint(output_dir: str | Path) -> Path | None:
 
 
 def last_step(output_dir: str | Path) -> int:
-    """The step of a run's newest complete checkpoint, 0 if it has none yet."""
+    """The step of a run's newest complete checkpoint, 0 if it has none yet.
+
+    Raises:
+        ValueError: If the run was copied without its links, so that nothing says which checkpoint is the newest.
+    """
     last = last_checkpoint(output_dir)
+    if last is not None and not last.name.isdigit():
+        raise ValueError(
+            f"{last} is a folder, expected a link to a checkpoint: the run was copied without its links; copy it again "
+            "with `cp -a`, or put a link to its newest checkpoint there"
+        )
     return 0 if last is None else int(last.name)
 
 

@@ -61,8 +61,9 @@ def run(args: argparse.Namespace) -> int:
     require_counts(args, "jobs", "stack")
     if args.importance is not None and args.importance < 1:
         raise ValueError(f"--importance {args.importance} is none: give 1 for what comes first, up to 9 for everything")
+    from dualhead_eval.studies.smoke_study import smoke_study
     from dualhead_eval.studies.study_file import read_study
-    from dualhead_eval.studies.study_plan import plan_study, share_checkpoints, smoke_study
+    from dualhead_eval.studies.study_plan import plan_study
 
     path = study_path(args.study)
     study, smoke = read_study(path), args.preset == "smoke"
@@ -96,6 +97,8 @@ def run(args: argparse.Namespace) -> int:
             precision=args.precision,
             show_progress=not args.no_progress,
         )
+        from dualhead_eval.studies.shared_checkpoints import share_checkpoints
+
         shared = share_checkpoints(plan, _plans_beside(path, smoke=smoke))
         do_missing_work(shared, place, console.print, args.importance)
     verdict = judge_study(study, plan, folders, data)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+from dualhead_eval.studies.smoke_study import smoke_study
 from dualhead_eval.studies.study_file import Bank, RunBlock, StudyDataset, StudyFile
 from dualhead_policy.sampling import SamplingCoupling
 from dualhead_policy.training.sweep.sweep_file import FlagValue, SweepRun, command_flags, named
@@ -184,50 +185,6 @@ def plan_study(study: StudyFile, *, smoke: bool = False, later: bool = False) ->
     return join_plans(plans)
 
 
-def smoke_study(study: StudyFile) -> StudyFile:
-    """A study in its smallest form: fewer seeds, steps, demonstrations, conditions, pairs and episodes.
-
-    Raises:
-        ValueError: If no block is important enough for it.
-    """
-    smoke = study.smoke
-    kept = [block for block in study.runs if block.importance <= smoke.importance and not block.later]
-    if not kept:
-        raise ValueError(
-            f"the study {study.title!r} has no block of importance {smoke.importance} or more for its smoke form: give "
-            "its `smoke` another importance"
-        )
-    largest = max(budget for block in kept for budget in block.budgets)
-
-    def shrunk(steps: int) -> int:
-        return max(1, round(steps * smoke.steps / largest))
-
-    blocks = [
-        block.model_copy(
-            update={
-                "seeds": block.seeds[: smoke.seeds],
-                "steps": sorted({shrunk(budget) for budget in block.budgets}),
-                "evaluate_at": block.evaluate_at and sorted({shrunk(step) for step in block.evaluate_at}),
-                "closed_loops": block.closed_loops
-                and block.closed_loops.model_copy(update={"episodes": smoke.closed_loop_episodes}),
-            }
-        )
-        for block in kept
-    ]
-    datasets = {
-        name: dataset.model_copy(
-            update={"pairs": smoke.demonstration_pairs}
-            if dataset.pairs is not None
-            else {"episodes": smoke.episodes, "conditions": smoke.conditions}
-        )
-        for name, dataset in study.datasets.items()
-    }
-    banks = {
-        name: bank.model_copy(update={"conditions": None, "pairs": smoke.pairs}) for name, bank in study.banks.items()
-    }
-    return study.model_copy(update={"runs": blocks, "datasets": datasets, "banks": banks})
-
-
 def join_plans(plans: Sequence[StudyPlan]) -> StudyPlan:
     """What several studies need together; what they share is there once, at its highest importance.
 
@@ -267,37 +224,6 @@ def join_plans(plans: Sequence[StudyPlan]) -> StudyPlan:
         tuple(sorted(runs.values(), key=lambda run: run.importance)),
         tuple(sorted(found, key=lambda evaluation: evaluation.importance)),
         tuple(sorted(driven, key=lambda loop: loop.importance)),
-    )
-
-
-def share_checkpoints(plan: StudyPlan, others: Iterable[StudyPlan]) -> StudyPlan:
-    """A plan whose trainings also save the checkpoints that other studies evaluate, where they mean the same run.
-
-    A run is trained once: what it has not saved, no study that shares it could evaluate later.
-    """
-    wanted: dict[str, set[int]] = {}
-    own = {run.name: run for run in plan.runs}
-    for other in others:
-        for run in other.runs:
-            mine = own.get(run.training_name)
-            if (
-                mine is not None
-                and other.datasets[run.dataset] == plan.datasets[run.dataset]
-                and _trained_alike(mine, run)
-            ):
-                wanted.setdefault(mine.name, set()).update(run.checkpoints)
-    runs = tuple(
-        replace(run, checkpoints=tuple(sorted({*run.checkpoints, *wanted.get(run.name, ())}))) for run in plan.runs
-    )
-    return replace(plan, runs=runs)
-
-
-def _trained_alike(one: StudyRun, other: StudyRun) -> bool:
-    return (one.config, dict(one.flags), one.seed, one.steps) == (
-        other.config,
-        dict(other.flags),
-        other.seed,
-        other.steps,
     )
 
 

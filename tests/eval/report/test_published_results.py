@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, read_closed_loop
+from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIXES, read_closed_loop
 from dualhead_eval.gate import read_gate
 from dualhead_eval.report.content import make_report, report_json
 from dualhead_eval.studies.study_plan import GATE_SUFFIX
@@ -52,10 +52,10 @@ def test_committed_results_stay_small():
 @pytest.mark.parametrize(
     ("folder", "episodes"),
     # The benchmark of other policies says its 50 episodes, with Wilson's intervals, beside every rate.
-    [("v2", 150), ("multimodality", 50)],
+    [("v2", 150), ("studies/closed_loops", 150), ("multimodality", 50)],
 )
 def test_closed_loop_outcomes_are_of_enough_episodes(folder, episodes):
-    found = sorted((FOLDER / folder).rglob("*" + ROLLOUTS_SUFFIX))
+    found = sorted(path for suffix in ROLLOUTS_SUFFIXES for path in (FOLDER / folder).rglob("*" + suffix))
     assert found
     assert all(read_closed_loop(path)[1].episodes >= episodes for path in found)
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from dualhead_eval.studies.shared_checkpoints import share_checkpoints
 from dualhead_eval.studies.study_file import read_study
-from dualhead_eval.studies.study_plan import join_plans, plan_study, share_checkpoints
+from dualhead_eval.studies.study_plan import join_plans, plan_study
 
 STUDIES = sorted((Path(__file__).parents[3] / "studies").glob("*.yaml"))
 

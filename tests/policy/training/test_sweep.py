@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 
 from dualhead_eval.cli import main
 from dualhead_policy.training.arguments import parse_training_config
-from dualhead_policy.training.checkpoints import last_checkpoint, staged
+from dualhead_policy.training.checkpoints import last_checkpoint, last_step, staged
 from dualhead_policy.training.sweep.group_commit import Commit, publish_group
 from dualhead_policy.training.sweep.group_training import Group, train_group
 from dualhead_policy.training.sweep.grouping import make_groups, plan_runs, run_identity
@@ -107,6 +107,12 @@ def test_a_sweep_goes_on_from_its_checkpoints_to_the_same_weights(ring_data, tmp
     for name in names:
         whole, resumed = weights(tmp_path / "whole" / name), weights(tmp_path / "cut" / name)
         assert all(torch.equal(whole[key], resumed[key]) for key in whole)
+
+
+def test_a_run_that_was_copied_without_its_links_is_named(tmp_path):
+    (tmp_path / "checkpoints" / "last").mkdir(parents=True)
+    with pytest.raises(ValueError, match=r"last is a folder, expected a link to a checkpoint: .* `cp -a`"):
+        last_step(tmp_path)
 
 
 def test_a_group_saves_where_any_of_its_runs_wants_to(ring_data, tmp_path):
