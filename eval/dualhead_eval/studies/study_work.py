@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -182,6 +183,9 @@ def _each[T](
 
 
 def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace) -> None:
+    """Evaluate a checkpoint, unless another call on the same results has done so meanwhile."""
+    if GateStore(place.gates).has(evaluation):
+        return
     from dualhead_policy.quiet import quiet_libraries
 
     quiet_libraries()
@@ -200,16 +204,17 @@ def _evaluate_one(plan: StudyPlan, evaluation: StudyEvaluation, place: Workplace
     policy = open_policy(folder, device="cuda" if torch.cuda.is_available() else "cpu")
     draws = evaluation.run.draws
     sampler = policy if draws is None else PolicyDraws(HeadPaths(policy, draws))
-    evaluate_study_run(
-        evaluation,
-        plan.bank(evaluation),
-        sampler,
-        open_conditions(place.data / evaluation.run.dataset / "test"),
-        place.gates,
-        training_data="" if origin is None else origin.dataset,
-        precision=place.precision,
-        device=str(policy.provenance["training"].get("device") or "unknown"),
-    )
+    with suppress(FileExistsError):  # the other call was faster, and its gate is the same
+        evaluate_study_run(
+            evaluation,
+            plan.bank(evaluation),
+            sampler,
+            open_conditions(place.data / evaluation.run.dataset / "test"),
+            place.gates,
+            training_data="" if origin is None else origin.dataset,
+            precision=place.precision,
+            device=str(policy.provenance["training"].get("device") or "unknown"),
+        )
 
 
 def _drive_one(plan: StudyPlan, loop: StudyLoop, place: Workplace) -> None:
