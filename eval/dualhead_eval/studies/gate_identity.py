@@ -43,10 +43,16 @@ def wanted_policy(run: StudyRun) -> dict[str, Any]:
     """The policy's configuration that a run asks for, every field of it, and its batch size.
 
     Raises:
+        FileNotFoundError: If there is no such configuration file.
         ValueError: If the configuration file is not a mapping, or names a field that the policy does not have.
     """
     file: dict[str, Any] = {}
     if run.config is not None:
+        if not Path(run.config).is_file():
+            raise FileNotFoundError(
+                f"configuration {run.config} does not exist in {Path.cwd()}, where the command is given: give it in "
+                "the folder that the study's configurations are relative to"
+            )
         file = yaml.safe_load(Path(run.config).read_text(encoding="utf-8"))
         if not isinstance(file, dict) or not isinstance(file.get("policy"), dict):
             raise ValueError(

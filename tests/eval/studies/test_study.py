@@ -273,6 +273,16 @@ def test_a_short_budget_is_spent_on_what_is_important(copied, capsys):
     assert "--importance 0 is none: give 1" in capsys.readouterr().err
 
 
+def test_a_configuration_that_is_not_there_is_named(copied, capsys):
+    blocks = [STUDY["runs"][0] | {"configurations": ["configs/none.yaml"], "closed_loops": None}]
+    criteria = [STUDY["criteria"][0] | {"rows": ["none"]}]
+    study = write_study(copied, runs=blocks, criteria=criteria)
+    (copied / "results/gates/ring/none-150/seed-0").mkdir(parents=True)
+    shutil.copy(next(_gates(copied)), copied / "results/gates/ring/none-150/seed-0/000150-frozen.gate.json.gz")
+    assert main(command(copied, "--verdict-only", study=study)) == 2
+    assert "configuration configs/none.yaml does not exist in" in capsys.readouterr().err
+
+
 def test_missing_gate_files_are_named(copied, capsys):
     for path in (copied / "results" / "gates" / "ring" / "B_shared_noise-150" / "seed-1").iterdir():
         path.unlink()
