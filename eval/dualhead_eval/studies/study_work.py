@@ -152,7 +152,7 @@ def _each[T](
     """Do something to each of some items, as many at a time as the workplace has jobs."""
     from joblib import Parallel, delayed, parallel_config
 
-    from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers, workers_ended_afterwards
+    from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers
 
     bars = Progress(
         TextColumn("{task.description}"),
@@ -172,7 +172,6 @@ def _each[T](
             return
         # The workers end with this process, however that ends.
         with (
-            workers_ended_afterwards(),
             parallel_config(backend="loky", initializer=end_with, initargs=(os.getpid(),)),
         ):
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
