@@ -171,9 +171,7 @@ def _each[T](
                 bars.advance(task)
             return
         # The workers end with this process, however that ends.
-        with (
-            parallel_config(backend="loky", initializer=end_with, initargs=(os.getpid(),)),
-        ):
+        with parallel_config(backend="loky", initializer=end_with, initargs=(os.getpid(),)):
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
             with interrupts_kept_from_workers():
                 done = parallel(delayed(do)(plan, item, place) for item in wanted)
