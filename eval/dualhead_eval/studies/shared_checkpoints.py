@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from dualhead_eval.studies.study_plan import StudyPlan, StudyRun
+from dualhead_eval.studies.study_plan import StudyPlan
 
 
 def share_checkpoints(plan: StudyPlan, others: Iterable[StudyPlan]) -> StudyPlan:
@@ -21,19 +21,10 @@ def share_checkpoints(plan: StudyPlan, others: Iterable[StudyPlan]) -> StudyPlan
             if (
                 mine is not None
                 and other.datasets[run.dataset] == plan.datasets[run.dataset]
-                and _trained_alike(mine, run)
+                and mine.training == run.training
             ):
                 wanted.setdefault(mine.name, set()).update(run.checkpoints)
     runs = tuple(
         replace(run, checkpoints=tuple(sorted({*run.checkpoints, *wanted.get(run.name, ())}))) for run in plan.runs
     )
     return replace(plan, runs=runs)
-
-
-def _trained_alike(one: StudyRun, other: StudyRun) -> bool:
-    return (one.config, dict(one.flags), one.seed, one.steps) == (
-        other.config,
-        dict(other.flags),
-        other.seed,
-        other.steps,
-    )

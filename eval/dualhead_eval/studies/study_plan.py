@@ -74,6 +74,11 @@ class StudyRun:
         trained = self.trained_as or self.configuration
         return f"{self.dataset}/{trained}-{shown_budget(self.steps)}/seed-{self.seed}"
 
+    @property
+    def training(self) -> tuple[object, ...]:
+        """What its training is, apart from its dataset: runs of one name that differ in it are two trainings."""
+        return self.config, dict(self.flags), self.seed, self.steps
+
     def sweep_run(self, data: Path) -> SweepRun:
         """The run as a sweep trains it, on the datasets below ``data``."""
         root = data / self.dataset / "train"
@@ -283,7 +288,7 @@ def _plan_loops(block: RunBlock, run: StudyRun) -> list[StudyLoop]:
 
 
 def _identity(run: StudyRun) -> tuple[object, ...]:
-    return run.config, dict(run.flags), run.seed, run.steps, run.trained_as, run.coupling, run.draws
+    return run.training, run.trained_as, run.coupling, run.draws
 
 
 def _same(what: str, name: str, first: object, second: object) -> None:
