@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.studies.study import StudyFolders, judge_study, missing_lines
     from dualhead_eval.studies.study_verdict import cells_table, grades_table
     from dualhead_eval.studies.study_work import Workplace, do_missing_work
+    from dualhead_eval.studies.third_head_table import third_head_table
 
     scratch = Path("outputs") / "studies-smoke"
     folders = StudyFolders(args.results or (scratch / "results" if smoke else Path("results") / "studies"), path.stem)
@@ -106,6 +107,8 @@ def run(args: argparse.Namespace) -> int:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))
     if (residuals := residual_table(verdict.cells)) is not None:
         console.print(render_table(residuals))
+    if (third := third_head_table(verdict.cells)) is not None:
+        console.print(render_table(third))
     if (driven := closed_loop_table(verdict.loops)) is not None:
         console.print(render_table(driven))
     console.print(render_table(grades_table(verdict.grades, study.question)))

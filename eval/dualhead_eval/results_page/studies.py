@@ -17,6 +17,7 @@ from dualhead_eval.studies.study_file import read_study
 from dualhead_eval.studies.study_plan import plan_study
 from dualhead_eval.studies.study_references import StudyReferences
 from dualhead_eval.studies.study_verdict import cells_table, grades_table
+from dualhead_eval.studies.third_head_table import third_head_table
 
 STUDIES = Path("studies")
 RESULTS = Path("results") / "studies"
@@ -58,6 +59,8 @@ def _section(path: Path) -> str:
     ]
     if (driven := closed_loop_table(loops)) is not None:
         parts += [f"{driven.title} ({driven.scope}):", _markdown(driven)]
+    if (third := third_head_table(cells)) is not None:
+        parts += [f"{third.title} ({third.scope}):", _markdown(third)]
     if (residuals := residual_table(cells)) is not None:
         parts += [f"{residuals.title} ({residuals.scope}):", _markdown(residuals)]
     if grade_lines.notes:

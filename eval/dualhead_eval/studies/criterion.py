@@ -12,6 +12,7 @@ from dualhead_policy.training.sweep.sweep_file import Name
 Rows = Annotated[list[Name], Field(min_length=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Bound = float | dict[Name, float]
+PrintedStatistic = Literal["rho", "relative_capacity", "relative_entropy", "delta_pooled", "delta"]
 
 
 class CriterionBase(Schema):
@@ -23,6 +24,7 @@ class CriterionBase(Schema):
         criterion: When the claim holds, in words.
         rows: Names of the configurations that it is about.
         datasets: Datasets that it is about; None: all on which the rows were trained.
+        heads: The pair of heads that it is about; None: the first two, joint and position.
     """
 
     name: Name
@@ -30,6 +32,7 @@ class CriterionBase(Schema):
     criterion: str
     rows: Rows
     datasets: list[Name] | None = None
+    heads: Annotated[list[Name], Field(min_length=2, max_length=2)] | None = None
 
     @property
     def all_rows(self) -> list[str]:
@@ -158,11 +161,17 @@ class LawCriterion(CriterionBase):
 
 
 class BesideCriterion(CriterionBase):
-    """The seeds' mean, against the paper's printed cell."""
+    """The seeds' mean, against the paper's printed cell.
+
+    Attributes:
+        margin: Largest distance at which the two count as alike.
+        statistic: rho of the main tables; C and entropy relative to their maximum (tab:collapse); the pooled effect
+            (tab:grid); the effect of a pair among three heads (tab:pose).
+    """
 
     test: Literal["beside"]
     margin: Share
-    statistic: Literal["rho", "relative_capacity", "relative_entropy"] = "rho"
+    statistic: PrintedStatistic = "rho"
 
 
 class TrendCriterion(CriterionBase):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ class StudyCell:
         results: The seeds that are there, in the order of the plan.
         runs: Their runs, at the gates' reference point.
         planned: Seeds that the study asks for.
+        heads: The pair of heads that its numbers are about, where it is not the first.
     """
 
     dataset: str
@@ -37,12 +38,31 @@ class StudyCell:
     results: tuple[StudyResult, ...]
     runs: tuple[Run, ...]
     planned: tuple[int, ...]
+    heads: tuple[str, str] | None = None
 
     @property
     def name(self) -> str:
-        """``DATASET/CONFIGURATION-BUDGET``, with the step where it is not the last."""
+        """``DATASET/CONFIGURATION-BUDGET``; the step where it is not the last, the heads where not the first two."""
         at = "" if self.step == self.budget else f" at {shown_budget(self.step)}"
-        return f"{self.dataset}/{self.configuration}-{shown_budget(self.budget)}{at}"
+        heads = "" if self.heads is None else f" {'-'.join(self.heads)}"
+        return f"{self.dataset}/{self.configuration}-{shown_budget(self.budget)}{at}{heads}"
+
+    def of_heads(self, heads: Sequence[str]) -> StudyCell:
+        """The same cell with its numbers about another pair of its heads.
+
+        Raises:
+            ValueError: If its runs do not have both.
+        """
+        runs = []
+        for run in self.runs:
+            own = [pair for pair in run.pairs if set(pair.heads) == set(heads)]
+            if not own:
+                raise ValueError(
+                    f"{self.name} has the heads {', '.join(run.gate.heads)}, a criterion asks for "
+                    f"{' and '.join(heads)}: mend the study's file"
+                )
+            runs.append(replace(run, pairs=(*own, *(pair for pair in run.pairs if pair not in own))))
+        return replace(self, runs=tuple(runs), heads=runs[0].first.heads)
 
     @property
     def final(self) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,8 +16,9 @@ from numpy.typing import NDArray
 from dualhead_eval.atomic_text import write_bytes
 from dualhead_eval.paper.numbers import paper_row
 from dualhead_eval.statistics.seeds import seed_t_interval
-from dualhead_eval.studies.grading.collapse_rows import collapse_number
+from dualhead_eval.studies.grading.printed_cells import printed_number
 from dualhead_eval.studies.study_cells import StudyCell
+from dualhead_eval.studies.study_file import Figure as Shown
 from dualhead_eval.studies.study_plan import shown_budget
 from dualhead_eval.studies.study_references import StudyReferences
 
@@ -46,9 +46,9 @@ class Quantity:
     exact_label: str
 
 
-def quantity(name: Literal["rho", "capacity"], references: StudyReferences) -> Quantity:
+def quantity(name: Shown, references: StudyReferences) -> Quantity:
     """rho beside the optimum of the loss, or C / max C beside that of the data's own mode frequencies."""
-    if name == "rho":
+    if name != "capacity":
         return Quantity(r"$\rho$", lambda cell: cell.values("rho"), _printed_rho, references.rho, "exact optimum")
 
     def datas_own(cell: StudyCell) -> float | None:
@@ -58,15 +58,13 @@ def quantity(name: Literal["rho", "capacity"], references: StudyReferences) -> Q
     return Quantity(
         "C / max C",
         lambda cell: np.array([run.first.capacity_relative for run in cell.valid], dtype=np.float64),
-        lambda cell: collapse_number(cell.runs[0].gate, "C_rel"),
+        lambda cell: printed_number(cell.runs[0].gate, "tab:collapse", "C_rel"),
         datas_own,
         "the data's own mode frequencies",
     )
 
 
-def draw_study(
-    cells: Sequence[StudyCell], references: StudyReferences, path: Path, shown: Literal["rho", "capacity"] = "rho"
-) -> None:
+def draw_study(cells: Sequence[StudyCell], references: StudyReferences, path: Path, shown: Shown = "rho") -> None:
     """Draw a study into a PNG file.
 
     Args:
@@ -90,10 +88,8 @@ def draw_study(
     write_bytes(path, small.getvalue())
 
 
-def study_figure(
-    cells: Sequence[StudyCell], references: StudyReferences, shown: Literal["rho", "capacity"] = "rho"
-) -> Figure:
-    """Curves over steps where rows have them, and a forest of the cells at the end of their runs.
+def study_figure(cells: Sequence[StudyCell], references: StudyReferences, shown: Shown = "rho") -> Figure:
+    """A forest of the cells at the end of their runs, or curves over steps where they are asked for and there are any.
 
     Raises:
         ValueError: If no cell has a defined rho.
@@ -101,8 +97,7 @@ def study_figure(
     drawn = [cell for cell in cells if cell.values("rho").size]
     if not drawn:
         raise ValueError("no cell has a defined rho, expected at least one to draw")
-    curves = _curves(drawn)
-    if curves and shown == "rho":
+    if shown == "steps" and (curves := _curves(drawn)):
         return _curve_figure(curves, references)
     plotted = quantity(shown, references)
     return _forest_figure([cell for cell in cells if cell.final and plotted.values(cell).size], plotted)

@@ -16,6 +16,9 @@ from dualhead_policy.training.sweep.sweep_file import FlagValue, Name, NamedConf
 
 REMEDY = "see docs/studies.md for the fields of a study"
 
+#: What a study's picture shows.
+Figure = Literal["rho", "capacity", "steps"]
+
 Steps = Annotated[int, Field(ge=1, le=10**8)]
 Count = Annotated[int, Field(ge=1, le=10**7)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
@@ -212,7 +215,8 @@ class StudyFile(Schema):
         runs: What is trained and evaluated.
         criteria: By which its claims are judged.
         smoke: Its smallest form.
-        figure: What its picture shows of every cell: rho, or C relative to its maximum.
+        figure: What its picture shows: rho of every cell at the end of its runs, C relative to its maximum instead, or
+            rho over steps of the rows with three checkpoints or budgets and more.
     """
 
     title: Label
@@ -224,7 +228,7 @@ class StudyFile(Schema):
     runs: list[RunBlock] = Field(min_length=1)
     criteria: list[Criterion] = Field(min_length=1)
     smoke: SmokeBudget = Field(default_factory=SmokeBudget)
-    figure: Literal["rho", "capacity"] = "rho"
+    figure: Figure = "rho"
 
     @model_validator(mode="after")
     def _names_what_it_has(self) -> Self:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dualhead_eval.paper.claims.grade import FAILS, HOLDS
 from dualhead_eval.paper.numbers import paper_row
 from dualhead_eval.report.table import LOSS, RHO, Cell, Column, Table
-from dualhead_eval.studies.grading.collapse_rows import collapse_number
 from dualhead_eval.studies.grading.grade import StudyGrade, points
+from dualhead_eval.studies.grading.printed_cells import printed_number
 from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_references import StudyReferences
 
@@ -46,7 +46,7 @@ def cells_table(cells: Sequence[StudyCell], references: StudyReferences, title: 
 def _cell_line(cell: StudyCell, references: StudyReferences) -> tuple[str | Cell, ...]:
     printed = paper_row(cell.paper_row)
     theirs, capacity = (printed[name].value if name in printed else None for name in ("rho", "C"))
-    collapse = collapse_number(cell.runs[0].gate, "C_rel")
+    collapse = printed_number(cell.runs[0].gate, "tab:collapse", "C_rel")
     seeds = f"{len(cell.read)}/{len(cell.planned)}"
     rho = cell.mean("rho")
     values = [run.first for run in cell.runs]

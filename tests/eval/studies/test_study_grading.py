@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,50 +12,14 @@ from dualhead_eval.gate.compact import compact_gate
 from dualhead_eval.gate.file import write_gate
 from dualhead_eval.statistics.run import open_run
 from dualhead_eval.studies.closed_loop_store import LoopResult
-from dualhead_eval.studies.gate_store import StudyResult
 from dualhead_eval.studies.grading import grade_study
-from dualhead_eval.studies.grading.collapse_rows import collapse_number, collapse_row
+from dualhead_eval.studies.grading.printed_cells import collapse_row, grid_row, pose_row, printed_number
 from dualhead_eval.studies.grading.single_cells import shared_noise_law
-from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_file import StudyFile
 from dualhead_eval.studies.study_plan import StudyLoop, StudyRun
 from dualhead_eval.studies.study_references import StudyReferences
 from dualhead_eval.studies.study_table import COLUMNS, csv_text, study_rows
-
-SEEDS = (0, 1, 2)
-
-
-@pytest.fixture
-def cell(make_gate):
-    """Builds a cell of seeds of known coupling."""
-
-    def build(
-        configuration,
-        couplings,
-        *,
-        dataset="ring",
-        budget=1000,
-        step=None,
-        bank="frozen",
-        planned=SEEDS,
-        target=None,
-        **gate,
-    ):
-        gates = [
-            make_gate(f"{configuration} {dataset} {seed}", couple=abs(couple), flip=couple < 0, seed=seed,
-                      conditions=30, **{"method": "policy", **gate})
-            for seed, couple in enumerate(couplings)
-        ]  # fmt: skip
-        if target is not None:
-            gates = [replace(one, target_probabilities=np.array(target)) for one in gates]
-        at = budget if step is None else step
-        results = tuple(
-            StudyResult(dataset, configuration, budget, seed, at, bank, gate, Path()) for seed, gate in enumerate(gates)
-        )
-        runs = tuple(open_run(gate) for gate in gates)
-        return StudyCell(dataset, configuration, budget, at, bank, results, runs, tuple(planned))
-
-    return build
+from dualhead_eval.studies.third_head_table import third_head_table
 
 
 def graded(cells, criterion, reference=lambda cell: None, loops=()):
@@ -287,13 +250,69 @@ def test_rows_of_the_collapse_table(make_gate):
     gate = make_gate(config=config, dataset={"env_kwargs": {"path_spread": 0.08}})
     gate = replace(gate, target_probabilities=np.array([0.8, 0.2]))
     assert collapse_row(gate) == "testbed skew/posterior kl1 fb0.1/p0.80"
-    assert collapse_number(gate, "C_rel") == 0.259
+    assert printed_number(gate, "tab:collapse", "C_rel") == 0.259
     tight = make_gate(
         config=config | {"kl_weight": 0.01, "free_bits": 0.0}, dataset={"env_kwargs": {"path_spread": 0.16}}
     )
     tight = replace(tight, target_probabilities=np.array([0.5, 0.5]))
     assert collapse_row(tight) == "testbed skew/posterior kl0.01/tight p0.50"
     assert collapse_row(make_gate()) == ""
+
+
+def test_a_cell_of_the_grid_beside_the_papers_pooled_effect(cell):
+    criterion = {"test": "beside", "rows": ["G"], "margin": 0.03, "statistic": "delta_pooled"}
+    setting = {"partition": "bypass-v2", "config": {"source_noise_beta": 0.1, "consistency_weight": 3.0}}
+    near = graded([cell("G", [0.3] * 3, **setting)], criterion)  # an effect of .15 where half agree by chance
+    assert (near.grade, near.evidence.endswith("paper +0.152")) == ("holds", True)
+    assert graded([cell("G", [0.6] * 3, **setting)], criterion).grade == "does not hold"
+    unprinted = setting | {"config": {"source_noise_beta": 0.5, "consistency_weight": 3.0}}
+    assert graded([cell("G", [0.3] * 3, **unprinted)], criterion).grade == "not graded"
+
+
+def test_only_two_heads_without_token_and_latent_are_cells_of_the_grid(make_gate):
+    config = {"source_noise_beta": 0.0, "consistency_weight": 0.3}
+    assert grid_row(make_gate(partition="bypass-v2", config=config)) == "v2/grid beta0 lambda0.3/seed0"
+    for other in ({"token": "window"}, {"latent": "prior"}, {"rotation_head": True}):
+        assert grid_row(make_gate(partition="bypass-v2", config=config | other)) == ""
+    assert grid_row(make_gate(partition="rotating-v3", config=config)) == ""
+
+
+POSE = {
+    "partition": "rotating-v3",
+    "heads": 3,
+    "config": {"rotation_head": True, "source_noise_beta": 0.0, "consistency_weight": 3.0},
+}
+
+
+def test_a_criterion_about_another_pair_of_heads(cell):
+    # Position and rotation each copy the joint head; the test's pair is the one that is named.
+    built = cell("pose", [0.8] * 3, **POSE)
+    criterion = {"test": "minimum", "rows": ["pose"], "at_least": 0.7}
+    assert graded([built], criterion).grade == "holds"
+    indirect = graded([built], criterion | {"heads": ["position", "rotation"]})  # .8 x .8 = .64
+    assert indirect.grade == "does not hold"
+    assert indirect.cells[0].name == "ring/pose-1k position-rotation"
+    with pytest.raises(ValueError, match="ring/A-1k has the heads joint, position, a criterion asks for"):
+        graded([cell("A", [0.8] * 3)], criterion | {"rows": ["A"], "heads": ["joint", "rotation"]})
+
+
+def test_the_effect_of_every_pair_of_three_heads_stands_beside_the_papers(cell, make_gate):
+    assert pose_row(make_gate(**POSE)) == "v3/pose lambda_cons3 lambda_rot0/seed0"
+    assert pose_row(make_gate(partition="rotating-v3")) == ""
+    built = cell("pose", [0.7] * 3, **POSE)
+    criterion = {"test": "beside", "rows": ["pose"], "margin": 0.03, "statistic": "delta"}
+    assert graded([built], criterion).evidence.endswith("paper +0.335")
+    other = graded([built], criterion | {"heads": ["joint", "rotation"]})
+    assert (other.grade, other.evidence.endswith("paper +0.002")) == ("does not hold", True)
+    table = third_head_table([built, cell("A", [0.0] * 3)])
+    assert [row[1] for row in table.rows] == [
+        "joint - position", "joint - rotation", "position - rotation", "all three",
+    ]  # fmt: skip
+    assert [row[5] for row in table.rows[:3]] == ["+0.335", "+0.002", "+0.028"]
+    agree, chance, theirs = table.rows[3][6:]
+    assert float(agree.split()[0]) == pytest.approx(0.25 + 0.75 * 0.7 * 0.7 + 0.25 * 2 * 0.7 * 0.3, abs=0.02)
+    assert (float(chance), theirs) == (pytest.approx(0.25, abs=0.01), "0.430")
+    assert third_head_table([cell("A", [0.0] * 3)]) is None
 
 
 def test_a_reference_is_found_by_what_it_holds(cell, make_gate, tmp_path):

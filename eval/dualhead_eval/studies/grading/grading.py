@@ -217,7 +217,9 @@ class _Grader:
         return [self._use(row[chosen]) for row in ends if chosen in row]
 
     def _of(self, dataset: str, row: str, bank: str) -> list[StudyCell]:
-        return [cell for cell in self.cells if (cell.dataset, cell.configuration, cell.bank) == (dataset, row, bank)]
+        own = [cell for cell in self.cells if (cell.dataset, cell.configuration, cell.bank) == (dataset, row, bank)]
+        heads = self.criterion.heads
+        return own if heads is None else [cell.of_heads(heads) for cell in own]
 
     def _use(self, cell: StudyCell) -> StudyCell:
         self.used[cell.name if cell.bank == self.first_bank else f"{cell.name} ({cell.bank})"] = cell

@@ -14,9 +14,9 @@ from dualhead_eval.paper.numbers import paper_row
 from dualhead_eval.paper.seed_spread import seed_spread
 from dualhead_eval.paper.sites import paper_site
 from dualhead_eval.statistics.seeds import seed_equivalence
-from dualhead_eval.studies.criterion import Bound, CapacityCriterion, SignsCriterion
-from dualhead_eval.studies.grading.collapse_rows import collapse_number
+from dualhead_eval.studies.criterion import Bound, CapacityCriterion, PrintedStatistic, SignsCriterion
 from dualhead_eval.studies.grading.grade import CellGrade, points, seeds_behind
+from dualhead_eval.studies.grading.printed_cells import POSE_EFFECTS, printed_number
 from dualhead_eval.studies.study_cells import StudyCell
 
 #: Statistics of tab:collapse: the run's, the paper's, and how they are shown.
@@ -115,24 +115,33 @@ def grade_minimum(cell: StudyCell, at_least: float) -> CellGrade:
     return CellGrade(cell.name, HOLDS if rho >= at_least else FAILS, evidence)
 
 
-def grade_beside(cell: StudyCell, statistic: str, margin: float) -> CellGrade:
+def grade_beside(cell: StudyCell, statistic: PrintedStatistic, margin: float) -> CellGrade:
     """The mean against the paper's printed cell."""
+    gate = cell.runs[0].gate
     if statistic in COLLAPSE:
         # A collapsed run has no rho; its capacity and entropy are the finding.
         name, quantity, shown = COLLAPSE[statistic]
         ours = float(np.mean([getattr(run.first, name) for run in cell.valid or cell.runs]))
-        theirs = collapse_number(cell.runs[0].gate, quantity)
-        evidence = f"{shown} {ours:.3f}"
+        theirs = printed_number(gate, "tab:collapse", quantity)
+        evidence, form = f"{shown} {ours:.3f}", ".3f"
         if not cell.valid:
             evidence = f"{evidence}, {_too_few(cell)}"
-    else:
+    elif statistic == "rho":
         ours = cell.mean("rho")
         figure = paper_row(cell.paper_row).get("rho")
         theirs = None if figure is None else figure.value
-        evidence = f"rho {points(ours, cell.interval())}"
+        evidence, form = f"rho {points(ours, cell.interval())}", ""
+    else:
+        ours, form = cell.mean(statistic), "+.3f"
+        if statistic == "delta_pooled":
+            theirs = printed_number(gate, "tab:grid", "delta_pooled")
+        else:
+            theirs = printed_number(gate, "tab:pose", POSE_EFFECTS.get(cell.runs[0].first.heads, ""))
+        interval = cell.interval(statistic)
+        evidence = f"effect {ours:+.3f}" + (f" [{interval.low:+.3f}, {interval.high:+.3f}]" if interval else "")
     if theirs is None or ours != ours:
         return CellGrade(cell.name, UNGRADED, f"{evidence}, paper none")
-    paper = f"{theirs:.3f}" if statistic in COLLAPSE else points(theirs)
+    paper = format(theirs, form) if form else points(theirs)
     if not cell.valid:
         return CellGrade(cell.name, UNGRADED, f"{evidence}, paper {paper}")
     return CellGrade(cell.name, HOLDS if abs(ours - theirs) <= margin else FAILS, f"{evidence}, paper {paper}")

@@ -1,0 +1,31 @@
+"""The picture of a study: its cells at the end of their runs, or their way there."""
+
+from __future__ import annotations
+
+import pytest
+
+from dualhead_eval.studies.study_figure import study_figure
+from dualhead_eval.studies.study_references import StudyReferences
+
+NONE = StudyReferences([])
+
+
+def titles(figure):
+    return [axis.get_title() for axis in figure.axes]
+
+
+def test_rows_with_three_checkpoints_are_drawn_over_steps_where_the_study_asks_for_it(cell):
+    way = [cell("G", [0.3, 0.4, 0.5], step=step) for step in (250, 500, 1000)]
+    assert "over steps" in titles(study_figure(way, NONE, "steps"))[0]
+    assert titles(study_figure(way, NONE, "rho")) == ["", ""]
+    (label,) = [tick.get_text() for tick in study_figure(way, NONE).axes[0].get_yticklabels()]
+    assert label == "ring/G-1k"  # the end of the runs, not the way there
+
+
+def test_without_three_checkpoints_there_are_no_curves(cell):
+    assert titles(study_figure([cell("G", [0.3, 0.4])], NONE, "steps")) == ["", ""]
+
+
+def test_nothing_that_can_be_read_is_nothing_to_draw(cell):
+    with pytest.raises(ValueError, match="no cell has a defined rho"):
+        study_figure([cell("G", [0.3, 0.4], valid=0.2)], NONE)
