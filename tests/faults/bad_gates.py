@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import lzma
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from cases import Case, Products, file_case, report
 from damage import CONTROL, Damage, byte_damages, doubled, json_damages
 
 from dualhead_eval.gate import read_gate, write_gate
+from dualhead_eval.gate.pack import write_pack
 
 
 def gate_cases(products: Products) -> Iterator[Case]:
@@ -26,6 +28,13 @@ def gate_cases(products: Products) -> Iterator[Case]:
         write_gate(read_gate(whole), small)
     for what, damage in byte_damages(small.stat().st_size, rng):
         yield file_case(f"compressed gate: {what}", small, damage, report)
+    pack = whole.with_name("small.gates.jsonl.xz")
+    if not pack.exists():
+        write_pack(pack, {"one": read_gate(whole), "two": read_gate(whole)})
+    for what, damage in byte_damages(pack.stat().st_size, rng):
+        yield file_case(f"pack of gates: {what}", pack, damage, report)
+    for what, change in FOREIGN_PACKS.items():
+        yield file_case(f"pack of gates: {what}", pack, _repacked(change), report)
     content = json.loads(whole.read_text())["content"]
     for what, change in json_damages(content, rng, free=("provenance",), most=90):
         if what.startswith("no strata."):
@@ -46,6 +55,33 @@ def _resealed(change: Callable[[Any], None]) -> Damage:
         path.write_text(json.dumps({"format": "dualhead-gate/1", "sha256": digest, "content": content}))
 
     return apply
+
+
+def _repacked(change: Callable[[list[str]], list[str]]) -> Damage:
+    """Edit the lines of a pack."""
+
+    def apply(path: Path) -> None:
+        lines = change(lzma.decompress(path.read_bytes()).decode().splitlines())
+        path.write_bytes(lzma.compress("\n".join(lines).encode()))
+
+    return apply
+
+
+FOREIGN_PACKS: dict[str, Callable[[list[str]], list[str]]] = {
+    "no line": lambda lines: [],
+    "no names": lambda lines: lines[1:],
+    "a gate too few": lambda lines: lines[:-1],
+    "a gate too many": lambda lines: [*lines, lines[-1]],
+    "one name twice": lambda lines: [lines[0].replace("two", "one"), *lines[1:]],
+    "a name that leads out": lambda lines: [lines[0].replace("two", "../two"), *lines[1:]],
+    "a name that clears the screen": lambda lines: [lines[0].replace("two", "\\u001b[2J"), *lines[1:]],
+    "names that are numbers": lambda lines: ['{"format": "dualhead-gates/1", "names": [1, 2]}', *lines[1:]],
+    "another version": lambda lines: [lines[0].replace("gates/1", "gates/9"), *lines[1:]],
+    "a header that is a list": lambda lines: ["[]", *lines[1:]],
+    "a gate that is a list": lambda lines: [*lines[:-1], "[]"],
+    "a gate that is no JSON": lambda lines: [*lines[:-1], lines[-1][:-9]],
+    "a gate of another count": lambda lines: [*lines[:-1], lines[-1].replace('"n_modes":2', '"n_modes":3')],
+}
 
 
 def _move(array: str, start: int, by: int) -> Callable[[Any], None]:

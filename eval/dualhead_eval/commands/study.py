@@ -48,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--later", action="store_true", help="also what the study marks as `later`")
     parser.add_argument("--verdict-only", action="store_true", help="train and evaluate nothing")
+    packing = parser.add_mutually_exclusive_group()
+    packing.add_argument(
+        "--pack", action="store_true", help="afterwards put the gate files of its datasets into one file a dataset"
+    )
+    packing.add_argument("--unpack", action="store_true", help="first make gate files of its datasets' packs again")
     parser.add_argument("--no-progress", action="store_true", help="do not draw progress bars")
 
 
@@ -77,6 +82,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.report.terminal import render_table
     from dualhead_eval.studies.closed_loop_table import closed_loop_table
     from dualhead_eval.studies.gate_store import recordings
+    from dualhead_eval.studies.packed_gates import pack_gates, unpack_gates
     from dualhead_eval.studies.residual_table import residual_table
     from dualhead_eval.studies.study import StudyFolders, judge_study, missing_lines
     from dualhead_eval.studies.study_verdict import cells_table, grades_table
@@ -87,6 +93,8 @@ def run(args: argparse.Namespace) -> int:
     folders = StudyFolders(args.results or (scratch / "results" if smoke else Path("results") / "studies"), path.stem)
     data = args.data or (scratch / "data" if smoke else Path("data"))
     console = open_console()
+    if args.unpack and (count := unpack_gates(folders.gates, study.datasets)):
+        console.print(f"{count} gates unpacked in {folders.gates}")
     if not args.verdict_only:
         place = Workplace(
             data,
@@ -102,6 +110,8 @@ def run(args: argparse.Namespace) -> int:
 
         shared = share_checkpoints(plan, _plans_beside(path, smoke=smoke))
         do_missing_work(shared, place, console.print, args.importance)
+    if args.pack and (count := pack_gates(folders.gates, study.datasets)):
+        console.print(f"{count} gate files packed in {folders.gates}")
     verdict = judge_study(study, plan, folders, data)
     if verdict.cells:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))

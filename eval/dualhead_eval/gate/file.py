@@ -43,6 +43,17 @@ def write_gate(gate: Gate, path: str | os.PathLike, *, overwrite: bool = False) 
     target = Path(path)
     if target.exists() and not overwrite:
         raise FileExistsError(f"gate file {target} exists: choose another name or ask to overwrite it")
+    document = document_of(gate) + "\n"
+    write_bytes(target, compress(document) if is_compressed(target) else document.encode())
+    return target
+
+
+def document_of(gate: Gate) -> str:
+    """The document of a gate file, one line without its end.
+
+    Raises:
+        ValueError: As :func:`write_gate`.
+    """
     _check_names(gate)
     try:
         content = _canonical(_to_content(gate))
@@ -52,9 +63,7 @@ def write_gate(gate: Gate, path: str | os.PathLike, *, overwrite: bool = False) 
             "objects, and None instead of NaN"
         ) from error
     digest = hashlib.sha256(content.encode()).hexdigest()
-    document = f'{{"format": "{FORMAT}", "sha256": "{digest}", "content": {content}}}\n'
-    write_bytes(target, compress(document) if is_compressed(target) else document.encode())
-    return target
+    return f'{{"format": "{FORMAT}", "sha256": "{digest}", "content": {content}}}'
 
 
 def read_gate(path: str | os.PathLike) -> Gate:
@@ -64,35 +73,48 @@ def read_gate(path: str | os.PathLike) -> Gate:
         FileNotFoundError: If there is no such file.
         ValueError: If the file is truncated, not a gate file, of another version, or was edited.
     """
+    source = Path(path)
+    if not source.is_file():
+        raise FileNotFoundError(f"gate file {source} does not exist: write one with `dualhead evaluate`")
+    return verified_gate(_read_document(source), str(source))
+
+
+def verified_gate(document: Any, source: str, remedy: str = REMEDY) -> Gate:
+    """The gate in the document of a gate file.
+
+    Args:
+        document: The document, parsed.
+        source: Where it was read, for the errors.
+        remedy: What to do about a wrong one.
+
+    Raises:
+        ValueError: As :func:`read_gate`.
+    """
     # The schema's package registers environments; importing this module stays light.
     from dualhead_envs.validated_json import shown, validated
     from dualhead_eval.gate.schema import GateContent
 
-    source = Path(path)
-    if not source.is_file():
-        raise FileNotFoundError(f"gate file {source} does not exist: write one with `dualhead evaluate`")
-    document = _read_document(source)
     if not isinstance(document, dict) or "format" not in document:
-        raise ValueError(f"{source} is JSON but not a gate file (no format field): {REMEDY}")
+        raise ValueError(f"{source} is JSON but not a gate file (no format field): {remedy}")
     if document["format"] != FORMAT:
-        raise ValueError(f"{source} has format {shown(document['format'])}, expected {FORMAT!r}: {REMEDY}")
+        raise ValueError(f"{source} has format {shown(document['format'])}, expected {FORMAT!r}: {remedy}")
     content = document.get("content")
     if not isinstance(content, dict) or "sha256" not in document:
-        raise ValueError(f"{source} lacks its content or checksum, expected both: {REMEDY}")
+        raise ValueError(f"{source} lacks its content or checksum, expected both: {remedy}")
     try:
         digest = hashlib.sha256(_canonical(content).encode()).hexdigest()
     except ValueError:
         # A number too large for JSON, which no gate file of ours contains.
         digest = ""
     if digest != document["sha256"]:
-        raise ValueError(f"{source} was changed after it was written (its checksum differs): {REMEDY}")
-    packed = validated(content, GateContent, source=f"{source} holds an inconsistent gate: it", remedy=REMEDY)
+        raise ValueError(f"{source} was changed after it was written (its checksum differs): {remedy}")
+    packed = validated(content, GateContent, source=f"{source} holds an inconsistent gate: it", remedy=remedy)
     try:
         gate = _gate_of(packed)
         _check_names(gate)
         return gate
     except (OverflowError, ValueError) as error:
-        raise ValueError(f"{source} holds an inconsistent gate ({error}): {REMEDY}") from error
+        raise ValueError(f"{source} holds an inconsistent gate ({error}): {remedy}") from error
 
 
 def _read_document(source: Path) -> Any:

@@ -10,6 +10,7 @@ from dualhead_envs.recording.geometry_card import GeometryCard, read_geometry_ca
 from dualhead_eval.evaluation.rollouts import ROLLOUTS_SUFFIX, ROLLOUTS_SUFFIXES, ClosedLoop, read_closed_loop
 from dualhead_eval.gate.file import read_gate
 from dualhead_eval.gate.gate import Gate
+from dualhead_eval.gate.pack import PACK_SUFFIX, GatePack
 from dualhead_policy.training.sweep.manifest import MANIFEST_FILE, Manifest, read_manifest
 
 #: How a gate file's name ends where folders are searched for them, plain or compressed.
@@ -40,8 +41,8 @@ def read_inputs(paths: Iterable[Path]) -> ReportInputs:
     """Read everything that a report is about.
 
     Args:
-        paths: Gate files; ``*.rollouts.json`` files; folders of sweeps, of rollouts, of recorded datasets (with their
-            ``card.json``), or of gate and rollout files.
+        paths: Gate files; packs of them (``*.gates.jsonl.xz``); ``*.rollouts.json`` files; folders of sweeps, of
+            rollouts, of recorded datasets (with their ``card.json``), or of such files.
 
     Raises:
         FileNotFoundError: If a path does not exist, or a folder holds nothing to report.
@@ -82,11 +83,14 @@ def _read_sweep(path: Path, inputs: ReportInputs) -> None:
 
 def _results(glob: Callable[[str], Iterable[Path]]) -> list[Path]:
     """Gate and rollout files that a folder's ``glob`` finds, by name."""
-    return sorted(file for suffix in (*GATE_SUFFIXES, *ROLLOUTS_SUFFIXES) for file in glob("*" + suffix))
+    return sorted(file for suffix in (*GATE_SUFFIXES, PACK_SUFFIX, *ROLLOUTS_SUFFIXES) for file in glob("*" + suffix))
 
 
 def _read_file(path: Path, inputs: ReportInputs) -> None:
     if path.name.endswith(ROLLOUTS_SUFFIXES):
         inputs.loops.append(read_closed_loop(path))
+    elif path.name.endswith(PACK_SUFFIX):
+        pack = GatePack(path)
+        inputs.gates.extend(map(pack.gate, pack.names))
     else:
         inputs.gates.append(read_gate(path))

@@ -7,8 +7,9 @@ for result in study_results("results/studies/gates"):
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,12 @@ import numpy as np
 from dualhead_eval.gate import Gate, read_gate
 from dualhead_eval.gate.compact import CONDITION_DIGITS
 from dualhead_eval.studies.gate_identity import refuse_other_evaluation, wanted_policy
+from dualhead_eval.studies.packed_gates import PackedGates, packed_name
 from dualhead_eval.studies.study_plan import GATE_SUFFIX, StudyEvaluation, StudyPlan
 
 _NAME = re.compile(
     r"(?P<dataset>[^/]+)/(?P<configuration>[^/]+)-(?P<budget>\d+k?)/seed-(?P<seed>\d+)/"
-    r"(?P<step>\d+)-(?P<bank>[^/]+)\.gate\.json\.gz"
+    r"(?P<step>\d+)-(?P<bank>[^/]+)"
 )
 #: How far a coordinate near zero (m, or of a unit vector) may lie from its other recording.
 STATE_MARGIN = 1e-6
@@ -35,7 +37,7 @@ class StudyResult:
         step: Its checkpoint.
         bank: The bank under which it was evaluated.
         gate: The gate.
-        file: Where it lies.
+        file: Where it lies; of a packed gate, the pack and its name there.
     """
 
     dataset: str
@@ -49,7 +51,7 @@ class StudyResult:
 
 
 class GateStore:
-    """Gate files in one folder, as :attr:`StudyEvaluation.gate_file` names them.
+    """Gates in one folder: files as :attr:`StudyEvaluation.gate_file` names them, or in their dataset's pack.
 
     Args:
         folder: Where they lie.
@@ -57,17 +59,36 @@ class GateStore:
 
     def __init__(self, folder: str | Path):
         self.folder = Path(folder)
-
-    def path(self, evaluation: StudyEvaluation) -> Path:
-        """Where the gate of an evaluation lies, or belongs."""
-        return self.folder / evaluation.gate_file
+        self._packed = PackedGates(self.folder)
 
     def has(self, evaluation: StudyEvaluation) -> bool:
-        """Whether there is a file; :meth:`results` says whether it is the right one."""
-        return self.path(evaluation).is_file()
+        """Whether there is a gate; :meth:`results` says whether it is the right one.
+
+        Raises:
+            ValueError: If the dataset's pack is damaged.
+        """
+        if (self.folder / evaluation.gate_file).is_file():
+            return True
+        dataset, name = packed_name(evaluation.gate_file)
+        pack = self._packed.pack(dataset)
+        return pack is not None and name in pack
+
+    def _read(self, evaluation: StudyEvaluation) -> tuple[Gate, Path]:
+        """The gate of an evaluation that is there, and where it lies."""
+        file = self.folder / evaluation.gate_file
+        if file.is_file():
+            return read_gate(file), file
+        dataset, name = packed_name(evaluation.gate_file)
+        pack = self._packed.pack(dataset)
+        assert pack is not None
+        return pack.gate(name), pack.source(name)
 
     def missing(self, plan: StudyPlan) -> list[StudyEvaluation]:
-        """Evaluations without a gate file, in the plan's order."""
+        """Evaluations without a gate, in the plan's order.
+
+        Raises:
+            ValueError: If a pack is damaged.
+        """
         return [evaluation for evaluation in plan.evaluations if not self.has(evaluation)]
 
     def results(self, plan: StudyPlan) -> list[StudyResult]:
@@ -82,10 +103,9 @@ class GateStore:
         results = []
         first: dict[str, StudyResult] = {}
         for evaluation in plan.evaluations:
-            path = self.path(evaluation)
-            if not path.is_file():
+            if not self.has(evaluation):
                 continue
-            gate, run = read_gate(path), evaluation.run
+            (gate, path), run = self._read(evaluation), evaluation.run
             dataset = plan.datasets[run.dataset]
             refuse_other_evaluation(gate, evaluation, plan.bank(evaluation), dataset, wanted[run.cell], source=path)
             result = StudyResult(
@@ -97,18 +117,26 @@ class GateStore:
 
 
 def study_results(folder: str | Path, datasets: Sequence[str] | None = None) -> Iterator[StudyResult]:
-    """Every result below a folder of gate files, by name, whichever studies asked for it.
+    """Every result in a folder of gate files and packs, by name, whichever studies asked for it.
 
     Args:
         folder: For example ``results/studies/gates``.
         datasets: Only these.
 
     Raises:
-        ValueError: If a gate file is damaged.
+        ValueError: If a gate file or a pack is damaged.
     """
     root = Path(folder)
-    for path in sorted(root.rglob(f"*{GATE_SUFFIX}")):
-        match = _NAME.fullmatch(path.relative_to(root).as_posix())
+    packs = PackedGates(root)
+    found: dict[str, tuple[Path, Callable[[], Gate]]] = {}
+    for dataset in packs.datasets if datasets is None else datasets:
+        if (pack := packs.pack(dataset)) is not None:
+            for name in pack.names:
+                found[f"{dataset}/{name}"] = pack.source(name), partial(pack.gate, name)
+    for path in root.rglob(f"*{GATE_SUFFIX}"):
+        found["/".join(packed_name(path.relative_to(root)))] = path, partial(read_gate, path)
+    for name, (path, read) in sorted(found.items()):
+        match = _NAME.fullmatch(name)
         if match is None or (datasets is not None and match["dataset"] not in datasets):
             continue
         budget = match["budget"]
@@ -119,7 +147,7 @@ def study_results(folder: str | Path, datasets: Sequence[str] | None = None) -> 
             int(match["seed"]),
             int(match["step"]),
             match["bank"],
-            read_gate(path),
+            read(),
             path,
         )
 
