@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dualhead_eval.effects.sites import Occupancy, occupancy
 from dualhead_eval.paper.mechanism import mechanism_of
+from dualhead_eval.paper.numbers import paper_row
 from dualhead_eval.statistics.interval import Interval
 from dualhead_eval.statistics.run import Run, open_run
 from dualhead_eval.statistics.seeds import seed_t_interval
@@ -119,8 +120,9 @@ class StudyCell:
 
     @property
     def paper_row(self) -> str:
-        """The paper's row for its mechanism; empty if it has none."""
-        return mechanism_of(self.runs[0].gate).paper_row
+        """The row of the paper's main tables for its mechanism; empty if they have none."""
+        row = mechanism_of(self.runs[0].gate).paper_row
+        return row if paper_row(row) else ""
 
     @property
     def target_capacity(self) -> float:

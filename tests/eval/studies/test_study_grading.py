@@ -259,6 +259,13 @@ def test_rows_of_the_collapse_table(make_gate):
     assert collapse_row(make_gate()) == ""
 
 
+def test_a_mechanism_that_the_paper_did_not_run_names_no_row_of_it(cell):
+    setting = {"partition": "bypass-v2", "config": {"source_noise_beta": 0.1, "consistency_weight": 3.0}}
+    assert cell("G", [0.3], **setting).paper_row == "v2/consistency beta0.1 lambda3"
+    setting["config"]["consistency_weight"] = 1.0
+    assert cell("G", [0.3], **setting).paper_row == ""
+
+
 def test_a_cell_of_the_grid_beside_the_papers_pooled_effect(cell):
     criterion = {"test": "beside", "rows": ["G"], "margin": 0.03, "statistic": "delta_pooled"}
     setting = {"partition": "bypass-v2", "config": {"source_noise_beta": 0.1, "consistency_weight": 3.0}}
