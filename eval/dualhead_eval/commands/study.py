@@ -84,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.studies.gate_store import recordings
     from dualhead_eval.studies.packed_gates import pack_gates, unpack_gates
     from dualhead_eval.studies.residual_table import residual_table
+    from dualhead_eval.studies.sensitivity_table import sensitivity_table
     from dualhead_eval.studies.study import StudyFolders, judge_study, missing_lines
     from dualhead_eval.studies.study_verdict import cells_table, grades_table
     from dualhead_eval.studies.study_work import Workplace, do_missing_work
@@ -117,6 +118,8 @@ def run(args: argparse.Namespace) -> int:
         console.print(render_table(cells_table(verdict.cells, verdict.references, study.title)))
     if (residuals := residual_table(verdict.cells)) is not None:
         console.print(render_table(residuals))
+    if (scanned := sensitivity_table(verdict.cells)) is not None:
+        console.print(render_table(scanned))
     if (third := third_head_table(verdict.cells)) is not None:
         console.print(render_table(third))
     if (driven := closed_loop_table(verdict.loops)) is not None:

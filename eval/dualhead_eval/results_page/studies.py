@@ -11,6 +11,7 @@ from dualhead_eval.studies.closed_loop_table import closed_loop_table
 from dualhead_eval.studies.gate_store import GateStore
 from dualhead_eval.studies.grading import grade_study
 from dualhead_eval.studies.residual_table import residual_table
+from dualhead_eval.studies.sensitivity_table import sensitivity_table
 from dualhead_eval.studies.study import FIGURE_FILE, OPTIMA, StudyFolders
 from dualhead_eval.studies.study_cells import study_cells
 from dualhead_eval.studies.study_file import read_study
@@ -59,6 +60,8 @@ def _section(path: Path) -> str:
     ]
     if (driven := closed_loop_table(loops)) is not None:
         parts += [f"{driven.title} ({driven.scope}):", _markdown(driven)]
+    if (scanned := sensitivity_table(cells)) is not None:
+        parts += [f"{scanned.title} ({scanned.scope}):", _markdown(scanned)]
     if (third := third_head_table(cells)) is not None:
         parts += [f"{third.title} ({third.scope}):", _markdown(third)]
     if (residuals := residual_table(cells)) is not None:

@@ -190,6 +190,21 @@ class OrderCriterion(CriterionBase):
     at_most: Annotated[float, Field(ge=-1, le=1)]
 
 
+class RankingCriterion(CriterionBase):
+    """The rows' order by their mean effect, at every threshold and number of Euler steps of a bank.
+
+    Attributes:
+        banks: The bank; its gates hold several operating points.
+        between: Smallest and largest threshold at which it is asked.
+        tie: Rows whose effects differ by no more than this do not count as ordered.
+    """
+
+    test: Literal["ranking"]
+    banks: Annotated[list[Name], Field(min_length=1, max_length=1)]
+    between: Annotated[list[float], Field(min_length=2, max_length=2)]
+    tie: Share
+
+
 class MinimumCriterion(CriterionBase):
     """The seeds' mean of rho, against a bound."""
 
@@ -234,6 +249,7 @@ Criterion = Annotated[
     | BesideCriterion
     | TrendCriterion
     | OrderCriterion
+    | RankingCriterion
     | MinimumCriterion
     | RepairsCriterion
     | ClosedLoopCriterion,

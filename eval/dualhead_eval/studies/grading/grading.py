@@ -26,6 +26,7 @@ from dualhead_eval.studies.criterion import (
     MinimumCriterion,
     MonotoneCriterion,
     OrderCriterion,
+    RankingCriterion,
     RepairsCriterion,
     SignsCriterion,
     SiteCriterion,
@@ -35,6 +36,7 @@ from dualhead_eval.studies.criterion import (
 from dualhead_eval.studies.grading import comparisons, single_cells
 from dualhead_eval.studies.grading.closed_loops import grade_closed_loop
 from dualhead_eval.studies.grading.grade import CellGrade, StudyGrade, together
+from dualhead_eval.studies.grading.rankings import grade_ranking
 from dualhead_eval.studies.study_cells import StudyCell
 from dualhead_eval.studies.study_file import StudyFile
 
@@ -169,6 +171,10 @@ class _Grader:
                         end = self._row(dataset, row, step=criterion.end)
                         if start is not None and end is not None:
                             yield comparisons.grade_trend(start, end, criterion)
+            case RankingCriterion():
+                for dataset in self.datasets:
+                    if ranked := self._of_one_budget(dataset, criterion.rows, criterion.banks[0]):
+                        yield grade_ranking(ranked, criterion)
             case OrderCriterion():
                 cells = list(self._rows(criterion.rows, every=True))
                 for dataset in self.datasets:
