@@ -19,3 +19,5 @@ def quiet_libraries() -> None:
     # lerobot logs through the root logger, which prints warnings when nothing is configured.
     logging.getLogger().addHandler(logging.NullHandler())
     warnings.filterwarnings("ignore", module="torchcodec|lerobot|datasets")
+    # joblib's idle workers end after five minutes; while another is still at work, it takes that for a leak.
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given", category=UserWarning)

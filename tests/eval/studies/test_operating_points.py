@@ -63,9 +63,7 @@ def test_rows_that_change_places_beyond_a_tie(cell):
     turned = at_few_steps(high, counts_of=cell("none", [-0.4] * 3))
     assert grade_ranking([low, turned], CRITERION).grade == "does not hold"
     elsewhere = CRITERION.model_copy(update={"between": [0.4, 0.5]})
-    assert (
-        grade_ranking([low, turned], elsewhere).grade == "not graded"
-    )  # one point is left
+    assert grade_ranking([low, turned], elsewhere).grade == "not graded"  # one point is left
 
 
 def test_rows_alike_are_no_order_to_lose(cell):
