@@ -139,7 +139,9 @@ def grade_beside(cell: StudyCell, statistic: PrintedStatistic, margin: float) ->
             theirs = printed_number(gate, "tab:pose", POSE_EFFECTS.get(cell.runs[0].first.heads, ""))
         interval = cell.interval(statistic)
         evidence = f"effect {ours:+.3f}" + (f" [{interval.low:+.3f}, {interval.high:+.3f}]" if interval else "")
-    if theirs is None or ours != ours:
+    if ours != ours:
+        return CellGrade(cell.name, UNGRADED, "no seed can be read")
+    if theirs is None:
         return CellGrade(cell.name, UNGRADED, f"{evidence}, paper none")
     paper = format(theirs, form) if form else points(theirs)
     if not cell.valid:
@@ -150,8 +152,10 @@ def grade_beside(cell: StudyCell, statistic: PrintedStatistic, margin: float) ->
 def grade_exact(cell: StudyCell, reference: float | None, margin: float) -> CellGrade:
     """The mean of rho against the exact reference's."""
     rho = cell.mean("rho")
+    if rho != rho:
+        return CellGrade(cell.name, UNGRADED, "no seed can be read")
     evidence = f"rho {points(rho, cell.interval())}, {seeds_behind(cell)}"
-    if reference is None or rho != rho:
+    if reference is None:
         return CellGrade(cell.name, UNGRADED, f"{evidence}, no reference at hand")
     grade = HOLDS if abs(rho - reference) <= margin else FAILS
     return CellGrade(cell.name, grade, f"{evidence}, optimum {points(reference)}")
