@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -52,7 +53,10 @@ def paper_numbers() -> tuple[PaperNumber, ...]:
     )
 
 
-def paper_row(name: str) -> dict[str, PaperNumber]:
-    """Figures of one row by quantity; seed expansions (tab:seeds) and threshold scans are left out."""
-    sources = ("tab:main", "tab:v3", "tab:maps", "tab:toy-corner", "sec:toy-occupancy")
+#: The paper's main tables; seed expansions (tab:seeds), threshold scans and the like are others.
+MAIN_TABLES = ("tab:main", "tab:v3", "tab:maps", "tab:toy-corner", "sec:toy-occupancy")
+
+
+def paper_row(name: str, sources: Collection[str] = MAIN_TABLES) -> dict[str, PaperNumber]:
+    """Figures of one row by quantity, from the main tables or others."""
     return {p.quantity: p for p in paper_numbers() if p.row == name and p.source in sources}

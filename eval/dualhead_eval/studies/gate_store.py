@@ -67,21 +67,16 @@ class GateStore:
         Raises:
             ValueError: If the dataset's pack is damaged.
         """
-        if (self.folder / evaluation.gate_file).is_file():
-            return True
-        dataset, name = packed_name(evaluation.gate_file)
-        pack = self._packed.pack(dataset)
-        return pack is not None and name in pack
+        return self._find(evaluation) is not None
 
-    def _read(self, evaluation: StudyEvaluation) -> tuple[Gate, Path]:
-        """The gate of an evaluation that is there, and where it lies."""
+    def _find(self, evaluation: StudyEvaluation) -> tuple[Path, Callable[[], Gate]] | None:
+        """Where the gate of an evaluation lies, and how it is read; None if it is not there."""
         file = self.folder / evaluation.gate_file
         if file.is_file():
-            return read_gate(file), file
+            return file, partial(read_gate, file)
         dataset, name = packed_name(evaluation.gate_file)
         pack = self._packed.pack(dataset)
-        assert pack is not None
-        return pack.gate(name), pack.source(name)
+        return None if pack is None or name not in pack else (pack.source(name), partial(pack.gate, name))
 
     def missing(self, plan: StudyPlan) -> list[StudyEvaluation]:
         """Evaluations without a gate, in the plan's order.
@@ -103,9 +98,10 @@ class GateStore:
         results = []
         first: dict[str, StudyResult] = {}
         for evaluation in plan.evaluations:
-            if not self.has(evaluation):
+            if (found := self._find(evaluation)) is None:
                 continue
-            (gate, path), run = self._read(evaluation), evaluation.run
+            path, read = found
+            gate, run = read(), evaluation.run
             dataset = plan.datasets[run.dataset]
             refuse_other_evaluation(gate, evaluation, plan.bank(evaluation), dataset, wanted[run.cell], source=path)
             result = StudyResult(

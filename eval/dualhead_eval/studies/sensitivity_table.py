@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dualhead_eval.paper.mechanism import mechanism_of
-from dualhead_eval.paper.numbers import paper_numbers
+from dualhead_eval.paper.numbers import paper_row
 from dualhead_eval.report.table import RHO, Column, Table
 from dualhead_eval.statistics.seeds import seed_t_interval
 from dualhead_eval.studies.grading.grade import points
@@ -28,22 +27,17 @@ COLUMNS = (
 
 def sensitivity_table(cells: Sequence[StudyCell]) -> Table | None:
     """A line per operating point of every cell that was evaluated at more than one; None without any."""
-    rows = [line for cell in cells if is_scanned(cell) for line in _lines(cell)]
+    rows = [_line(cell, point) for cell in cells if is_scanned(cell) for point in operating_points(cell)]
     if not rows:
         return None
     return Table("Thresholds and Euler steps", COLUMNS, tuple(rows), scope="means over seeds; the paper's is one seed")
 
 
-def _lines(cell: StudyCell) -> list[tuple[str, ...]]:
-    return [_line(cell, point) for point in operating_points(cell)]
-
-
 def _line(cell: StudyCell, point: OperatingPoint) -> tuple[str, ...]:
     rho = point.values("rho")
-    row = mechanism_of(cell.runs[0].gate).paper_row
-    scanned = f"{row}/tau{point.tau:.2f}" if point.nfe == cell.runs[0].gate.reference_nfe else f"{row}/nfe{point.nfe}"
-    printed = {p.quantity: p.value for p in paper_numbers() if p.row == scanned and p.source in _SOURCES}
-    effect, valid = printed.get("delta_pooled"), printed.get("valid_pair_rate")
+    scanned = f"tau{point.tau:.2f}" if point.nfe == cell.runs[0].gate.reference_nfe else f"nfe{point.nfe}"
+    printed = paper_row(f"{cell.paper_row}/{scanned}", _SOURCES)
+    effect, valid = (printed[name].value if name in printed else None for name in ("delta_pooled", "valid_pair_rate"))
     return (
         cell.name,
         f"{point.tau:g}",

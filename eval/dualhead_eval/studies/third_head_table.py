@@ -9,7 +9,7 @@ import numpy as np
 from dualhead_eval.report.table import RHO, Column, Table
 from dualhead_eval.statistics.head_agreement import HeadAgreement
 from dualhead_eval.statistics.seeds import seed_t_interval
-from dualhead_eval.studies.grading.grade import points
+from dualhead_eval.studies.grading.grade import points, with_interval
 from dualhead_eval.studies.grading.printed_cells import POSE_EFFECTS, printed_number
 from dualhead_eval.studies.study_cells import StudyCell
 
@@ -41,15 +41,14 @@ def _lines(cell: StudyCell) -> list[tuple[str, ...]]:
     for first in cell.runs[0].pairs:
         pair = cell.of_heads(first.heads)
         theirs = printed_number(gate, "tab:pose", POSE_EFFECTS.get(first.heads, ""))
-        interval = pair.interval("delta")
-        delta = f"{pair.mean('delta'):+.3f}" + (f" [{interval.low:+.3f}, {interval.high:+.3f}]" if interval else "")
+        delta = with_interval(pair.mean("delta"), pair.interval("delta"), "+.3f")
         printed = "-" if theirs is None else f"{theirs:+.3f}"
         rho = points(pair.mean("rho"), pair.interval())
         lines.append((cell.name, " - ".join(first.heads), f"{pair.valid_rate:.3f}", rho, delta, printed, "-", "-", "-"))
     found: list[HeadAgreement] = [run.agreement for run in cell.runs if run.agreement is not None]
     rates = np.array([one.rate for one in found])
     spread = seed_t_interval(rates) if rates.size > 1 else None
-    agree = f"{rates.mean():.3f}" + (f" [{spread.low:.3f}, {spread.high:.3f}]" if spread else "")
+    agree = with_interval(float(rates.mean()), spread, ".3f")
     theirs = printed_number(gate, "tab:pose", "three_way_agreement")
     valid, chance = (float(np.mean([getattr(one, name) for one in found])) for name in ("valid_rate", "chance"))
     printed = "-" if theirs is None else f"{theirs:.3f}"

@@ -9,7 +9,7 @@ from dualhead_eval.paper.claims.grade import FAILS, HOLDS, OPEN, UNGRADED
 from dualhead_eval.statistics.interval import Interval
 from dualhead_eval.studies.study_cells import StudyCell
 
-__all__ = ["FAILS", "HOLDS", "OPEN", "UNGRADED", "CellGrade", "StudyGrade", "points", "together"]
+__all__ = ["FAILS", "HOLDS", "OPEN", "UNGRADED", "CellGrade", "StudyGrade", "points", "together", "with_interval"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,12 @@ def points(value: float, interval: Interval | None = None) -> str:
     if interval is None:
         return text
     return f"{text} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
+
+
+def with_interval(value: float, interval: Interval | None, form: str) -> str:
+    """A number, and its interval where there is one, in one form."""
+    text = format(value, form)
+    return text if interval is None else f"{text} [{interval.low:{form}}, {interval.high:{form}}]"
 
 
 def seeds_behind(cell: StudyCell) -> str:

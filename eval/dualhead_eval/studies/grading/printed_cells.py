@@ -7,7 +7,7 @@ from typing import Any
 from dualhead_envs.ring.geometry import PATH_SPREAD
 from dualhead_eval.gate import Gate
 from dualhead_eval.paper.mechanism import mechanism_of
-from dualhead_eval.paper.numbers import paper_numbers
+from dualhead_eval.paper.numbers import paper_row
 
 #: Effects of tab:pose by the pair of heads.
 POSE_EFFECTS = {
@@ -60,9 +60,8 @@ def printed_number(gate: Gate, source: str, quantity: str) -> float | None:
         source: The table, a key of :data:`ROWS`.
         quantity: Which of its numbers.
     """
-    row = ROWS[source](gate)
-    found = [p.value for p in paper_numbers() if (p.source, p.row, p.quantity) == (source, row, quantity)]
-    return found[0] if row and found else None
+    figure = paper_row(ROWS[source](gate), (source,)).get(quantity)
+    return None if figure is None else figure.value
 
 
 def _config(gate: Gate) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from dualhead_eval.paper.seed_spread import seed_spread
 from dualhead_eval.paper.sites import paper_site
 from dualhead_eval.statistics.seeds import seed_equivalence
 from dualhead_eval.studies.criterion import Bound, CapacityCriterion, PrintedStatistic, SignsCriterion
-from dualhead_eval.studies.grading.grade import CellGrade, points, seeds_behind
+from dualhead_eval.studies.grading.grade import CellGrade, points, seeds_behind, with_interval
 from dualhead_eval.studies.grading.printed_cells import POSE_EFFECTS, printed_number
 from dualhead_eval.studies.study_cells import StudyCell
 
@@ -137,8 +137,7 @@ def grade_beside(cell: StudyCell, statistic: PrintedStatistic, margin: float) ->
             theirs = printed_number(gate, "tab:grid", "delta_pooled")
         else:
             theirs = printed_number(gate, "tab:pose", POSE_EFFECTS.get(cell.runs[0].first.heads, ""))
-        interval = cell.interval(statistic)
-        evidence = f"effect {ours:+.3f}" + (f" [{interval.low:+.3f}, {interval.high:+.3f}]" if interval else "")
+        evidence = f"effect {with_interval(ours, cell.interval(statistic), form)}"
     if ours != ours:
         return CellGrade(cell.name, UNGRADED, "no seed can be read")
     if theirs is None:
