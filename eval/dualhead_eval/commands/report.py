@@ -26,8 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="GATE",
-        help="gate files written by `dualhead evaluate`, folders of them, rollouts, or datasets written by `dualhead "
-        "record`",
+        help="gate files written by `dualhead evaluate`, packs or folders of them, rollouts, or datasets written by "
+        "`dualhead record`",
+    )
+    parser.add_argument(
+        "--only",
+        default="*",
+        metavar="PATTERN",
+        help="of the gates in packs, those whose names match, for example '*-50k/*-frozen*' (default: all)",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write every number to FILE")
     parser.add_argument("--figure", type=Path, metavar="FILE.png", help="also draw the attainable region")
@@ -83,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     from dualhead_eval.report.terminal import render_table
 
     console = open_console()
-    inputs = read_inputs(args.inputs)
+    inputs = read_inputs(args.inputs, args.only)
     for folder, card in inputs.cards.items():
         console.print(render_card(card, title=f"Geometry card of {folder}"))
     for folder, manifest in inputs.sweeps.items():

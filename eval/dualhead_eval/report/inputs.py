@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from dualhead_envs.recording.geometry_card import GeometryCard, read_geometry_card
@@ -37,25 +38,26 @@ class ReportInputs:
     from_folder: bool = False
 
 
-def read_inputs(paths: Iterable[Path]) -> ReportInputs:
+def read_inputs(paths: Iterable[Path], only: str = "*") -> ReportInputs:
     """Read everything that a report is about.
 
     Args:
         paths: Gate files; packs of them (``*.gates.jsonl.xz``); ``*.rollouts.json`` files; folders of sweeps, of
             rollouts, of recorded datasets (with their ``card.json``), or of such files.
+        only: Of the gates in packs, those whose names match this shell pattern (``*`` matches slashes, too).
 
     Raises:
         FileNotFoundError: If a path does not exist, or a folder holds nothing to report.
-        ValueError: If a file is damaged or of another kind.
+        ValueError: If a file is damaged or of another kind, or a pack has no gate of such a name.
     """
     inputs = ReportInputs()
     for path in paths:
         if not path.is_dir():
-            _read_file(path, inputs)
+            _read_file(path, inputs, only)
         elif (path / "card.json").is_file():
             inputs.cards[path] = read_geometry_card(path / "card.json")
         elif (path / MANIFEST_FILE).is_file():
-            _read_sweep(path, inputs)
+            _read_sweep(path, inputs, only)
         elif (path / "meta" / "dualhead.json").is_file():
             inputs.loops.append(read_closed_loop(path))
         else:
@@ -67,18 +69,18 @@ def read_inputs(paths: Iterable[Path]) -> ReportInputs:
                 )
             inputs.from_folder = True
             for file in found:
-                _read_file(file, inputs)
+                _read_file(file, inputs, only)
     return inputs
 
 
-def _read_sweep(path: Path, inputs: ReportInputs) -> None:
+def _read_sweep(path: Path, inputs: ReportInputs, only: str) -> None:
     """A sweep's folder: how far it is, and the gate files of its runs."""
     manifest = read_manifest(path)
     assert manifest is not None
     inputs.sweeps[path] = manifest.as_found(path)
     inputs.from_folder = True
     for file in _results(path.rglob):
-        _read_file(file, inputs)
+        _read_file(file, inputs, only)
 
 
 def _results(glob: Callable[[str], Iterable[Path]]) -> list[Path]:
@@ -86,11 +88,17 @@ def _results(glob: Callable[[str], Iterable[Path]]) -> list[Path]:
     return sorted(file for suffix in (*GATE_SUFFIXES, PACK_SUFFIX, *ROLLOUTS_SUFFIXES) for file in glob("*" + suffix))
 
 
-def _read_file(path: Path, inputs: ReportInputs) -> None:
+def _read_file(path: Path, inputs: ReportInputs, only: str) -> None:
     if path.name.endswith(ROLLOUTS_SUFFIXES):
         inputs.loops.append(read_closed_loop(path))
     elif path.name.endswith(PACK_SUFFIX):
         pack = GatePack(path)
-        inputs.gates.extend(map(pack.gate, pack.names))
+        names = [name for name in pack.names if fnmatchcase(name, only)]
+        if pack.names and not names:
+            raise ValueError(
+                f"{path} has no gate like {only!r}, expected a pattern of names like {pack.names[0]!r}: "
+                "give another --only, or none for all"
+            )
+        inputs.gates.extend(map(pack.gate, names))
     else:
         inputs.gates.append(read_gate(path))

@@ -181,8 +181,9 @@ def _refuse_duplicates(group: Sequence[Run]) -> None:
             other = seen.setdefault((what, identity), run)
             if other is not run:
                 raise ValueError(
-                    f"{other.name!r} and {run.name!r} hold {what}, expected every seed once: leave one out, "
-                    "or merge two evaluations of a checkpoint with dualhead_eval.gate.merge.merge_gates"
+                    f"{other.name!r} and {run.name!r} hold {what}, expected every seed once: leave one out "
+                    "(of a pack with `dualhead report --only`), or merge two evaluations of a checkpoint with "
+                    "dualhead_eval.gate.merge.merge_gates"
                 )
 
 

@@ -24,7 +24,22 @@ from dualhead_eval.studies.study_references import StudyReferences
 
 #: Checkpoints or budgets of one row from which on it is drawn as a curve.
 CURVE = 3
-OURS, PAPER, EXACT = "tab:blue", "tab:red", "black"
+OURS, PAPER, EXACT, PARTIAL = "tab:blue", "tab:red", "black", "0.6"
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A number beside a cell's.
+
+    Attributes:
+        value: The number.
+        label: What it is, for the legend.
+        partial: Whether it is that of some of the cell's conditions only.
+    """
+
+    value: float
+    label: str
+    partial: bool = False
 
 
 @dataclass(frozen=True)
@@ -35,33 +50,43 @@ class Quantity:
         label: Its axis.
         values: The seeds that can be read.
         paper: The paper's number, None if it prints none.
-        exact: What the paper's number is held against, None if there is nothing.
-        exact_label: What that is.
+        exact: What the seeds and the paper's number are held against, None if there is nothing.
     """
 
     label: str
     values: Callable[[StudyCell], NDArray[np.float64]]
     paper: Callable[[StudyCell], float | None]
-    exact: Callable[[StudyCell], float | None]
-    exact_label: str
+    exact: Callable[[StudyCell], Beside | None]
 
 
 def quantity(name: Shown, references: StudyReferences) -> Quantity:
     """rho beside the optimum of the loss, or C / max C beside that of the data's own mode frequencies."""
     if name != "capacity":
-        return Quantity(r"$\rho$", lambda cell: cell.values("rho"), _printed_rho, references.rho, "exact optimum")
 
-    def datas_own(cell: StudyCell) -> float | None:
+        def optimum(cell: StudyCell) -> Beside | None:
+            return _optimum(cell, references)
+
+        return Quantity(r"$\rho$", lambda cell: cell.values("rho"), _printed_rho, optimum)
+
+    def datas_own(cell: StudyCell) -> Beside | None:
         own = cell.target_capacity / (1 - 1 / cell.n_modes)
-        return own if own == own else None
+        return Beside(own, "the data's own mode frequencies") if own == own else None
 
     return Quantity(
         "C / max C",
         lambda cell: np.array([run.first.capacity_relative for run in cell.valid], dtype=np.float64),
         lambda cell: printed_number(cell.runs[0].gate, "tab:collapse", "C_rel"),
         datas_own,
-        "the data's own mode frequencies",
     )
+
+
+def _optimum(cell: StudyCell, references: StudyReferences) -> Beside | None:
+    found = references.find(cell)
+    if found is None:
+        return None
+    if found.n_conditions == cell.runs[0].gate.n_conditions:
+        return Beside(found.rho, "exact optimum")
+    return Beside(found.rho, f"exact optimum, first {found.n_conditions} conditions", partial=True)
 
 
 def draw_study(cells: Sequence[StudyCell], references: StudyReferences, path: Path, shown: Shown = "rho") -> None:
@@ -122,7 +147,7 @@ def _forest_figure(cells: Sequence[StudyCell], plotted: Quantity) -> Figure:
         if (printed := plotted.paper(cell)) is not None:
             ax.plot(printed, row, "D", color=PAPER, markersize=5, fillstyle="none", label="paper")
         if (exact := plotted.exact(cell)) is not None:
-            ax.plot(exact, row, "x", color=EXACT, markersize=6, label=plotted.exact_label)
+            ax.plot(exact.value, row, "x", color=PARTIAL if exact.partial else EXACT, markersize=6, label=exact.label)
         rates = np.array([run.first.valid_rate for run in cell.runs])
         valid.plot(rates, np.full(rates.size, row), "o", color="0.3", markersize=3, alpha=0.6, markeredgewidth=0)
     ax.axvline(0, color="0.4", linewidth=0.8)
@@ -132,6 +157,7 @@ def _forest_figure(cells: Sequence[StudyCell], plotted: Quantity) -> Figure:
     _percent(ax.xaxis)
     ax.set_xlabel(f"{plotted.label}: seeds, mean and 95% t interval over seeds")
     valid.set_xlim(-0.03, 1.03)
+    valid.set_xticks([0, 0.5, 1], ["0", ".5", "1"])
     valid.set_xlabel("valid pairs")
     for panel in (ax, valid):
         panel.spines[["top", "right"]].set_visible(False)

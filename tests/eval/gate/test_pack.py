@@ -52,6 +52,9 @@ def test_what_gates_repeat_takes_room_once(tmp_path, make_gate):
 def test_a_report_reads_a_pack_or_a_folder_of_packs(tmp_path, pack):
     for path in (pack, tmp_path):
         assert [gate.label for gate in read_inputs([path]).gates] == NAMES
+        assert [gate.label for gate in read_inputs([path], "G-6k/seed-[12]/*").gates] == NAMES[1:3]
+        with pytest.raises(ValueError, match=r"no gate like 'H-6k', .* names like 'G-6k/seed-0/006000-frozen'"):
+            read_inputs([path], "H-6k")
 
 
 @pytest.mark.parametrize("name", ["../G", "/G", "G/../../H", "", "G//H", "G\n", "a/" * 9 + "b", "x" * 300])

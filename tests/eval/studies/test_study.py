@@ -254,6 +254,8 @@ def test_packed_gates_are_the_same_study_and_unpack_into_the_same_files(copied, 
     assert main(command(copied)) == 0  # neither data nor runs are there, nor needed
     assert f"{count} of {count} evaluations are there" in capsys.readouterr().out
     assert len(list(study_results(copied / "results" / "gates"))) == count
+    assert main(["report", str(packs[0]), "--only", "A_independent-*/000150-large"]) == 0
+    assert "B_shared_noise" not in capsys.readouterr().out
     assert main(command(copied, "--verdict-only", "--pack")) == 0  # nothing is left to pack
     assert "gate files packed" not in capsys.readouterr().out
     assert main(command(copied, "--verdict-only", "--unpack")) == 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from dualhead_eval.gate import write_gate
+from dualhead_eval.gate.compact import compact_gate
 from dualhead_eval.studies.study_figure import study_figure
 from dualhead_eval.studies.study_references import StudyReferences
 
@@ -29,3 +31,16 @@ def test_without_three_checkpoints_there_are_no_curves(cell):
 def test_nothing_that_can_be_read_is_nothing_to_draw(cell):
     with pytest.raises(ValueError, match="no cell has a defined rho"):
         study_figure([cell("G", [0.3, 0.4], valid=0.2)], NONE)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "legend"),
+    [(30, "exact optimum"), (12, "exact optimum, first 12 conditions")],
+)
+def test_an_optimum_of_fewer_conditions_than_the_cells_is_told_apart(cell, make_gate, tmp_path, conditions, legend):
+    own = cell("B", [0.2, 0.3], config={"source_noise_beta": 0.0, "kinematic_map": "ring/nullspace"})
+    reference = make_gate("exact", couple=0.3, conditions=conditions, method="exact reference",
+                          coupling={"source_noise_beta": 0.0}, kinematic_map="ring/nullspace")  # fmt: skip
+    write_gate(compact_gate(reference), tmp_path / "exact.gate.json.gz")
+    figure = study_figure([own], StudyReferences([tmp_path]))
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ours, seeds", "paper", legend]
