@@ -36,6 +36,8 @@ class HeadSamples:
 
 #: Distributions of tokens in sampling.
 TOKEN_DRAWS = ("uniform", "marginal", "learned")
+#: How heads of different width can share source noise, other than coordinate by coordinate.
+NOISE_ALIGNMENTS = ("kinematic",)
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class SamplingCoupling:
         source_noise_beta: beta of sec:heads; 1 private noise, 0 shared noise.
         source_noise: The noise itself by head (``"joint"``, ``"position"`` and, where there is one, ``"rotation"``),
             each (B, N, H, d); overrides beta. Passing one member's noise to another couples an ensemble.
+        source_noise_alignment: ``"kinematic"``: shared noise goes from the joint head to the others through the
+            kinematic map (:mod:`dualhead_policy.flow.noise_alignment`), not coordinate by coordinate; None: the latter.
         token: Tokens (B, N) to use instead of drawing them.
         token_draw: Distribution of drawn tokens: ``"uniform"``, ``"marginal"`` or, for a policy that has one,
             ``"learned"``. The prior sends the heads no gradient, so that this too is a question to the sampler alone.
@@ -56,6 +60,7 @@ class SamplingCoupling:
 
     source_noise_beta: float | None = None
     source_noise: Mapping[str, Tensor] | None = None
+    source_noise_alignment: str | None = None
     token: Tensor | None = None
     token_draw: str | None = None
     share_token: bool = True

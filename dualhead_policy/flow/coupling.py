@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from dualhead_policy.flow.flow_matching import coupled_source_noise
-from dualhead_policy.sampling import SamplingCoupling
+from dualhead_policy.sampling import NOISE_ALIGNMENTS, SamplingCoupling
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,15 @@ def resolve_source_noise(
     beta: float,
     generator: torch.Generator | None,
     private: Collection[str] = (),
+    alignment: Callable[[], Mapping[str, Tensor]] | None = None,
 ) -> Mapping[str, Tensor]:
     """Source noise by head, each (*shape, d): the caller's, or drawn with the caller's beta or else ``beta``.
 
-    The noise of ``private`` heads is their own whatever beta.
+    The noise of ``private`` heads is their own whatever beta. ``alignment`` gives what carries the shared noise to the
+    heads where the caller asks for it, or is None for a sampler without a kinematic map to align by.
 
     Raises:
-        ValueError: If the caller's noise lacks a head.
+        ValueError: If the caller's noise lacks a head, or an alignment is asked for that is unknown or not there.
     """
     if coupling.source_noise:
         missing = sorted(set(head_dims) - set(coupling.source_noise))
@@ -41,7 +43,19 @@ def resolve_source_noise(
             raise ValueError(f"coupling.source_noise lacks {missing}: give the noise of every head")
         return coupling.source_noise
     own = coupling.source_noise_beta
-    return coupled_source_noise(shape, head_dims, beta if own is None else own, generator, private)
+    aligned = None
+    if coupling.source_noise_alignment is not None:
+        if coupling.source_noise_alignment not in NOISE_ALIGNMENTS:
+            raise ValueError(
+                f"source_noise_alignment={coupling.source_noise_alignment!r} is none of {', '.join(NOISE_ALIGNMENTS)}: "
+                "give one of them, or leave it out"
+            )
+        if alignment is None:
+            raise ValueError(
+                "the sampler has no kinematic map to align its source noise by: leave source_noise_alignment out"
+            )
+        aligned = alignment()
+    return coupled_source_noise(shape, head_dims, beta if own is None else own, generator, private, aligned)
 
 
 def resolve_shared_draws(

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 Generator = torch.Generator | None
+#: Largest deviation of P^T P from the identity that counts as rounding.
+ISOMETRY_TOLERANCE = 1e-5
 
 
 def coupled_source_noise(
@@ -19,12 +21,13 @@ def coupled_source_noise(
     beta: float,
     generator: Generator,
     private: Collection[str] = (),
+    aligned: Mapping[str, Tensor] | None = None,
 ) -> dict[str, Tensor]:
     """Source noise of every head, coupled by ``beta`` (sec:heads).
 
     x_0^i = sqrt(1 - beta) s[:d_i] + sqrt(beta) eps_i with s and eps standard normal: beta = 1 is independent,
-    beta = 0 fully shared. A narrower head takes the first coordinates of s at every step of the chunk. Every
-    head's marginal is standard normal for any beta.
+    beta = 0 fully shared. A narrower head takes the first coordinates of s at every step of the chunk, or P^T s where
+    it is aligned by P; directions that P leaves out are its own. Every head's marginal is standard normal for any beta.
 
     Args:
         shape: Leading shape, for example (batch, H).
@@ -32,6 +35,8 @@ def coupled_source_noise(
         beta: Coupling in [0, 1].
         generator: Source of randomness; the draws are made on its device.
         private: Heads whose noise is their own whatever beta.
+        aligned: Partial isometries P (d, d_i) of heads that take the first d coordinates of s through them, by head;
+            see :mod:`dualhead_policy.flow.noise_alignment`.
 
     Returns:
         Noise by head, each (*shape, d_i).
@@ -48,9 +53,16 @@ def coupled_source_noise(
     def drawn(head: str, dim: int) -> Tensor:
         if head in private:
             return normal(dim)
+        common = shared[..., :dim]
+        if aligned is not None and head in aligned:
+            carry = aligned[head].to(shared)
+            common = shared[..., : len(carry)] @ carry
+            left_out = torch.eye(dim).to(carry) - carry.T @ carry
+            if left_out.abs().max() > ISOMETRY_TOLERANCE:
+                common = common + normal(dim) @ left_out
         if beta <= 0:
-            return shared[..., :dim]
-        return (1 - beta) ** 0.5 * shared[..., :dim] + beta**0.5 * normal(dim)
+            return common
+        return (1 - beta) ** 0.5 * common + beta**0.5 * normal(dim)
 
     return {head: drawn(head, dim) for head, dim in dims.items()}
 

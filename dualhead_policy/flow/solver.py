@@ -10,6 +10,7 @@ from torch import Tensor
 
 from dualhead_policy.flow.coupling import SharedDraws, resolve_shared_draws, resolve_source_noise
 from dualhead_policy.flow.folded_field import FoldedField
+from dualhead_policy.flow.noise_alignment import kinematic_alignment
 from dualhead_policy.kinematics.rotation6d import columns_from_matrix, matrix_from_columns
 from dualhead_policy.model.dualhead_model import DualheadModel
 from dualhead_policy.sampling import HeadSamples, SamplingCoupling
@@ -41,7 +42,13 @@ def sample_chunks(
     shape = (*leading, model.config.chunk_size)
     config = model.config
     source = resolve_source_noise(
-        coupling, shape, model.head_dims, config.source_noise_beta, generator, config.private_noise_heads
+        coupling,
+        shape,
+        model.head_dims,
+        config.source_noise_beta,
+        generator,
+        config.private_noise_heads,
+        lambda: kinematic_alignment(model),
     )
     shared = _shared_draws(model, embedding, num_samples, coupling, generator)
     heads: dict[str, Tensor] = {}

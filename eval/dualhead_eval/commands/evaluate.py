@@ -35,6 +35,7 @@ SERVES = {
     "frame": ("policy", "pair"),
     "path_names": ("policy", "pair"),
     "source_noise_beta": ("policy", "exact"),
+    "source_noise_alignment": ("policy", "exact"),
     "redraw_token": ("policy", "exact"),
     "token_draw": ("policy", "exact"),
     "update_card": ("policy",),
@@ -146,6 +147,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     shared = parser.add_argument_group("what the heads share (default: as the policy was trained)")
     shared.add_argument("--source-noise-beta", type=float, metavar="B", help="1 private noise, 0 shared noise")
+    shared.add_argument(
+        "--source-noise-alignment",
+        choices=["kinematic"],
+        help="shared noise goes from joint to position head through the kinematic map, not coordinate by coordinate",
+    )
     shared.add_argument("--redraw-token", action="store_true", help="give each head a token of its own")
     shared.add_argument(
         "--token-draw", choices=["uniform", "marginal", "learned"], help="how the heads' token is drawn"
@@ -258,7 +264,10 @@ def _protocol(args: argparse.Namespace) -> EvaluationProtocol:
         **_given(args, pairs="pairs", nfes="nfe", seed="seed"),
         taus=args.tau,
         coupling=SamplingCoupling(
-            source_noise_beta=args.source_noise_beta, token_draw=args.token_draw, share_token=not args.redraw_token
+            source_noise_beta=args.source_noise_beta,
+            source_noise_alignment=args.source_noise_alignment,
+            token_draw=args.token_draw,
+            share_token=not args.redraw_token,
         ),
     )
 

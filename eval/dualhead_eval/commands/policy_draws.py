@@ -54,7 +54,14 @@ def open_sampler(path: str, args: argparse.Namespace) -> EvaluatedSampler | Poli
 
     if args.draws is None and read_policy_type(policy_folder(path)) == "dualhead":
         return open_policy(path)
-    for option in ("source_noise_beta", "token_draw", "redraw_token", "update_card", "preview"):
+    for option in (
+        "source_noise_beta",
+        "source_noise_alignment",
+        "token_draw",
+        "redraw_token",
+        "update_card",
+        "preview",
+    ):
         if _is_given(args, option):
             raise ValueError(
                 f"--{option.replace('_', '-')} is about both heads of a dual-head policy, {path} is evaluated by "

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dualhead_policy.sampling import TOKEN_DRAWS, SamplingCoupling
+from dualhead_policy.sampling import NOISE_ALIGNMENTS, TOKEN_DRAWS, SamplingCoupling
 
 #: The frozen protocol (sec:gate): 64 samples in each of 20 draws per condition, 20 Euler steps.
 FROZEN_PAIRS = 64 * 20
@@ -53,6 +53,11 @@ class EvaluationProtocol:
         beta = self.coupling.source_noise_beta
         if beta is not None and not 0 <= beta <= 1:
             raise ValueError(f"source_noise_beta={beta} is outside [0, 1]: give 1 (private) to 0 (shared noise)")
+        if self.coupling.source_noise_alignment not in (None, *NOISE_ALIGNMENTS):
+            raise ValueError(
+                f"source_noise_alignment={self.coupling.source_noise_alignment!r} is none of "
+                f"{', '.join(NOISE_ALIGNMENTS)}: give one of them, or leave it out"
+            )
         if self.coupling.token_draw not in (None, *TOKEN_DRAWS):
             raise ValueError(
                 f"token_draw={self.coupling.token_draw!r} is none of {', '.join(TOKEN_DRAWS)}: give one of them"
@@ -89,6 +94,7 @@ class EvaluationProtocol:
 
 
 def described_coupling(coupling: SamplingCoupling) -> dict[str, Any]:
-    """What a gate's provenance says of a coupling; the draw of its tokens only where it is not the policy's own."""
+    """What a gate's provenance says of a coupling; what is younger than gates only where it is not the policy's own."""
     said: dict[str, Any] = {"source_noise_beta": coupling.source_noise_beta, "share_token": coupling.share_token}
-    return said if coupling.token_draw is None else said | {"token_draw": coupling.token_draw}
+    younger = {"token_draw": coupling.token_draw, "source_noise_alignment": coupling.source_noise_alignment}
+    return said | {name: value for name, value in younger.items() if value is not None}

@@ -27,6 +27,7 @@ class Mechanism:
         n_modes: Number of modes K.
         representation: Representation map of head A (``"nullspace"``, ...), empty on the robots.
         beta: Source-noise coupling, 1 private, 0 shared.
+        alignment: What the heads' shared noise goes through, None for coordinate by coordinate.
         token: None, ``"oracle"``, ``"window"`` or ``"episode"``.
         n_tokens: Number of tokens.
         learned_draw: Whether tokens are drawn from a learned distribution rather than uniformly.
@@ -45,6 +46,7 @@ class Mechanism:
     n_modes: int
     representation: str
     beta: float
+    alignment: str | None
     token: str | None
     n_tokens: int
     learned_draw: bool
@@ -130,6 +132,8 @@ def mechanism_of(gate: Gate) -> Mechanism:
     standard = standard and dataset.get("path_spread", 0.08) == 0.08
     # The paper's rows are sampled under test conditions, not recorded in closed loop.
     standard = standard and "rollouts" not in provenance
+    # Their heads share noise coordinate by coordinate.
+    standard = standard and coupling.get("source_noise_alignment") is None
     # Nor are they two draws of one head, or of LeRobot's other policies.
     standard = standard and provenance.get("method") not in (DRAWS, POLICY_PAIR)
     # The third head's runs (tab:pose) are no rows of tab:v3.
@@ -139,6 +143,7 @@ def mechanism_of(gate: Gate) -> Mechanism:
         n_modes=gate.n_modes,
         representation=kinematic_map.partition("/")[2],
         beta=float(beta),
+        alignment=coupling.get("source_noise_alignment"),
         token=settings.get("token"),
         n_tokens=int(settings.get("n_tokens") or gate.n_modes),
         learned_draw=(coupling.get("token_draw") or settings.get("token_draw", "uniform")) != "uniform",

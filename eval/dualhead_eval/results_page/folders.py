@@ -47,6 +47,8 @@ class NamedRun:
         if self.note:
             name += f", {self.note}"
         coupling, config = (self.run.gate.provenance.get(part) or {} for part in ("coupling", "config"))
+        if coupling.get("source_noise_alignment") is not None:
+            name += " (noise aligned by the kinematic map in sampling alone)"
         for field, remark in SAMPLED_OTHERWISE.items():
             sampled, trained = coupling.get(field), config.get(field)
             if sampled is not None and trained is not None and sampled != trained:

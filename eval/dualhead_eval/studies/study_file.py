@@ -76,6 +76,7 @@ class ResampledRow(Schema):
         name: The row.
         of: The configuration whose checkpoints are sampled.
         source_noise_beta: Coupling of the heads' source noise in sampling, 1 private to 0 shared; None: as trained.
+        source_noise_alignment: Shared noise goes through the kinematic map; None: coordinate by coordinate.
         token_draw: Distribution of the tokens in sampling; None: as trained.
         draws: The head of which two independent draws are a pair; None: the pair is the two heads.
     """
@@ -83,16 +84,17 @@ class ResampledRow(Schema):
     name: Name
     of: Name
     source_noise_beta: Annotated[float, Field(ge=0, le=1)] | None = None
+    source_noise_alignment: Literal["kinematic"] | None = None
     token_draw: Literal["uniform", "marginal", "learned"] | None = None
     draws: Literal["joint", "position"] | None = None
 
     @model_validator(mode="after")
     def _samples_otherwise(self) -> Self:
-        coupled = self.source_noise_beta is not None or self.token_draw is not None
+        coupled = self.coupling != SamplingCoupling()
         if not coupled and self.draws is None:
             raise ValueError(
-                f"its resampled row {self.name!r} samples as {self.of!r} does: give source_noise_beta, token_draw or "
-                "draws"
+                f"its resampled row {self.name!r} samples as {self.of!r} does: give source_noise_beta, "
+                "source_noise_alignment, token_draw or draws"
             )
         if coupled and self.draws is not None:
             raise ValueError(
@@ -103,7 +105,11 @@ class ResampledRow(Schema):
     @property
     def coupling(self) -> SamplingCoupling:
         """How the checkpoints are sampled."""
-        return SamplingCoupling(source_noise_beta=self.source_noise_beta, token_draw=self.token_draw)
+        return SamplingCoupling(
+            source_noise_beta=self.source_noise_beta,
+            source_noise_alignment=self.source_noise_alignment,
+            token_draw=self.token_draw,
+        )
 
 
 class ClosedLoops(Schema):

@@ -120,16 +120,21 @@ def write_missing_references(plan: StudyPlan, data: Path, folder: Path) -> bool:
         for field in ("source_noise_beta", "token_draw"):
             if (sampled := getattr(evaluation.run.coupling, field)) is not None:
                 policy[field] = sampled
+        alignment = evaluation.run.coupling.source_noise_alignment
         if (name := _closed_form(policy)) is not None:
+            name += "" if alignment is None else f"_{alignment}"
             path = folder / evaluation.run.dataset / f"{name}-{evaluation.bank}.gate.json.gz"
             if not path.exists():
-                wanted[path] = root, bank, policy
+                wanted[path] = root, bank, policy | {"source_noise_alignment": alignment}
     for path, (root, bank, policy) in wanted.items():
         conditions = open_conditions(root)[: bank.conditions]
         options: dict[str, Any] = {}
         if policy["token"]:
             options = {"token": "oracle", "token_replacement_prob": float(policy["token_replacement_prob"])}
-        coupling = SamplingCoupling(source_noise_beta=float(policy["source_noise_beta"]))
+        coupling = SamplingCoupling(
+            source_noise_beta=float(policy["source_noise_beta"]),
+            source_noise_alignment=policy["source_noise_alignment"],
+        )
         protocol = EvaluationProtocol(pairs=bank.pairs, seed=bank.seed, coupling=coupling)
         label = f"{path.parent.name} {path.name.partition('-')[0]}"
         reference = evaluate(open_exact_reference(conditions, **options), conditions, protocol, label)
@@ -153,7 +158,8 @@ def _key(gate: Gate) -> tuple[Any, ...]:
     dataset = (gate.provenance.get("dataset") or {}).get("env_kwargs") or {}
     token = (mechanism.token, _replacement(gate)) if mechanism.token else None
     place = (mechanism.environment, mechanism.representation, gate.n_modes, gate.reference_tau, gate.reference_nfe)
-    return *place, str([dataset.get(name) for name in _RING]), mechanism.beta, token, mechanism.consistency
+    noise = (mechanism.beta, mechanism.alignment)
+    return *place, str([dataset.get(name) for name in _RING]), noise, token, mechanism.consistency
 
 
 def _replacement(gate: Gate) -> float:

@@ -42,7 +42,8 @@ def grid_row(gate: Gate) -> str:
 def pose_row(gate: Gate) -> str:
     """tab:pose, lambda_cons x lambda_rot: three heads on v3; empty if it is none."""
     mechanism = mechanism_of(gate)
-    if mechanism.environment != "v3" or "rotation" not in gate.heads or mechanism.token or mechanism.latent:
+    other = mechanism.token or mechanism.latent or mechanism.alignment
+    if mechanism.environment != "v3" or "rotation" not in gate.heads or other:
         return ""
     rotation = float(_config(gate).get("rotation_consistency_weight") or 0.0)
     return f"v3/pose lambda_cons{mechanism.consistency:g} lambda_rot{rotation:g}/seed0"

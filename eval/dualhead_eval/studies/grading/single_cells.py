@@ -174,7 +174,8 @@ def shared_noise_law(gate: Gate) -> float | None:
     """(2 / pi) asin(a): rho of two equally likely modes under shared noise and a linear map; None for other maps.
 
     a is the correlation of the heads' deciding projections: u' M u, where M takes the first two coordinates of the
-    joint head's noise to the plane. None where it depends on the condition, as under a reflection.
+    joint head's noise to the plane; 1 where the noise goes through the map itself. None where it depends on the
+    condition, as under a reflection.
     """
     mechanism = mechanism_of(gate)
     two_heads = gate.provenance.get("method") != DRAWS
@@ -185,6 +186,8 @@ def shared_noise_law(gate: Gate) -> float | None:
     chosen = REPRESENTATION_MAPS.get(mechanism.representation)
     if not isinstance(chosen, LinearMap):
         return None
+    if mechanism.alignment is not None:
+        return 1.0
     shared = chosen.matrix[:2]
     symmetric = (shared + shared.T) / 2
     if not np.allclose(symmetric, symmetric[0, 0] * np.eye(2)):
