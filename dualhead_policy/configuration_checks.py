@@ -8,7 +8,7 @@ from typing import Any
 
 from lerobot.configs import FeatureType
 
-from dualhead_policy.sampling import TOKEN_DRAWS
+from dualhead_policy.sampling import NOISE_ALIGNMENTS, TOKEN_DRAWS
 
 #: Beyond it an embedding saturates whatever it enters.
 LARGEST_GAIN = 100.0
@@ -18,6 +18,7 @@ CHOICES = {
     "token": (None, "oracle", "episode", "window"),
     "token_positions": ("absolute", "displacement"),
     "token_draw": TOKEN_DRAWS,
+    "source_noise_alignment": (None, *NOISE_ALIGNMENTS),
     "latent": (None, "prior", "posterior"),
     "consistency_norm": ("normalized", "meters"),
     "rotation_noise": ("coupled", "private"),

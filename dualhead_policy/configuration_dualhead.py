@@ -43,6 +43,8 @@ class DualheadConfig(PreTrainedConfig):
             that has only seen exact states learns to continue from wherever it is and drifts in closed loop; with
             noise it returns to the demonstrations. None: 0 on the ring, OBSERVATION_NOISE elsewhere.
         source_noise_beta: beta of sec:heads: 1 independent source noise, 0 fully shared.
+        source_noise_alignment: ``"kinematic"``: what is shared goes from the joint head to the others through the
+            kinematic map (:mod:`dualhead_policy.flow.noise_alignment`); None: coordinate by coordinate.
         token: Shared discrete token: None, ``"oracle"`` (the demonstration's mode), ``"episode"`` (k-means on whole
             transport trajectories) or ``"window"`` (k-means on the training windows' positions).
         token_positions: What window tokens cluster: ``"absolute"``, the window's positions; or ``"displacement"``, its
@@ -101,6 +103,7 @@ class DualheadConfig(PreTrainedConfig):
 
     observation_noise: float | None = None
     source_noise_beta: float = 1.0
+    source_noise_alignment: str | None = None
 
     token: str | None = None
     token_positions: str = "absolute"
@@ -244,6 +247,11 @@ def _check_together(config: DualheadConfig) -> None:
         raise ValueError(
             f"policy.rotation_consistency_weight={config.rotation_consistency_weight} compares the joint head with a "
             "rotation head: set policy.rotation_head=true, or leave the weight at 0"
+        )
+    if config.source_noise_alignment is not None and config.source_noise_beta == 1:
+        raise ValueError(
+            f"policy.source_noise_alignment={config.source_noise_alignment!r} is about noise that the heads share, and "
+            "policy.source_noise_beta=1 shares none: set policy.source_noise_beta=0, or leave the alignment out"
         )
     if config.rotation_noise == "private" and not config.rotation_head:
         raise ValueError(

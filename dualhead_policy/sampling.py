@@ -49,7 +49,7 @@ class SamplingCoupling:
         source_noise: The noise itself by head (``"joint"``, ``"position"`` and, where there is one, ``"rotation"``),
             each (B, N, H, d); overrides beta. Passing one member's noise to another couples an ensemble.
         source_noise_alignment: ``"kinematic"``: shared noise goes from the joint head to the others through the
-            kinematic map (:mod:`dualhead_policy.flow.noise_alignment`), not coordinate by coordinate; None: the latter.
+            kinematic map (:mod:`dualhead_policy.flow.noise_alignment`), not coordinate by coordinate.
         token: Tokens (B, N) to use instead of drawing them.
         token_draw: Distribution of drawn tokens: ``"uniform"``, ``"marginal"`` or, for a policy that has one,
             ``"learned"``. The prior sends the heads no gradient, so that this too is a question to the sampler alone.

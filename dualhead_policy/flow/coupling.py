@@ -28,11 +28,13 @@ def resolve_source_noise(
     generator: torch.Generator | None,
     private: Collection[str] = (),
     alignment: Callable[[], Mapping[str, Tensor]] | None = None,
+    own_alignment: str | None = None,
 ) -> Mapping[str, Tensor]:
     """Source noise by head, each (*shape, d): the caller's, or drawn with the caller's beta or else ``beta``.
 
     The noise of ``private`` heads is their own whatever beta. ``alignment`` gives what carries the shared noise to the
-    heads where the caller asks for it, or is None for a sampler without a kinematic map to align by.
+    heads where the caller or the sampler itself (``own_alignment``) asks for it, or is None for a sampler without a
+    kinematic map to align by.
 
     Raises:
         ValueError: If the caller's noise lacks a head, or an alignment is asked for that is unknown or not there.
@@ -43,12 +45,12 @@ def resolve_source_noise(
             raise ValueError(f"coupling.source_noise lacks {missing}: give the noise of every head")
         return coupling.source_noise
     own = coupling.source_noise_beta
-    aligned = None
-    if coupling.source_noise_alignment is not None:
-        if coupling.source_noise_alignment not in NOISE_ALIGNMENTS:
+    aligned, asked = None, coupling.source_noise_alignment or own_alignment
+    if asked is not None:
+        if asked not in NOISE_ALIGNMENTS:
             raise ValueError(
-                f"source_noise_alignment={coupling.source_noise_alignment!r} is none of {', '.join(NOISE_ALIGNMENTS)}: "
-                "give one of them, or leave it out"
+                f"source_noise_alignment={asked!r} is none of {', '.join(NOISE_ALIGNMENTS)}: give one of them, or "
+                "leave it out"
             )
         if alignment is None:
             raise ValueError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -45,6 +45,7 @@ class DrawRule:
         observation_dim: Size C of the observation noise, 0 for none.
         n_tokens: Tokens among which a corrupted one is drawn, 0 for none.
         latent_dim: Dimensions of the latent, or None for none.
+        aligned: What carries the shared noise to heads that do not take its first coordinates, by head, or None.
     """
 
     seed: int
@@ -55,6 +56,7 @@ class DrawRule:
     observation_dim: int
     n_tokens: int
     latent_dim: int | None
+    aligned: Mapping[str, Tensor] | None = field(default=None, compare=False)
 
     def draw(self, batch: int, step: int, purpose: str = "train", rank: int = 0) -> StepDraws:
         """The draws of ``batch`` windows at training step ``step``, in float32 on the CPU.
@@ -70,7 +72,7 @@ class DrawRule:
         time = torch.rand(batch, generator=generator)
         shape = (batch, self.chunk_size)
         source = coupled_source_noise(
-            shape, self.head_dims, self.source_noise_beta, generator, self.private_noise_heads
+            shape, self.head_dims, self.source_noise_beta, generator, self.private_noise_heads, self.aligned
         )
         noise = corruption = latent = None
         if self.observation_dim:

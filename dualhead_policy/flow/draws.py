@@ -15,6 +15,7 @@ from torch import Tensor
 
 from dualhead_policy.flow.draw_rule import DrawRule, StepDraws
 from dualhead_policy.flow.flow_matching import coupled_source_noise, interpolate
+from dualhead_policy.flow.noise_alignment import own_alignment
 from dualhead_policy.model.dualhead_model import DualheadModel
 
 
@@ -26,7 +27,7 @@ def draw_path_points(
     time = torch.rand(len(like), generator=generator).to(like)
     shape = (len(like), config.chunk_size)
     noise = coupled_source_noise(
-        shape, model.head_dims, config.source_noise_beta, generator, config.private_noise_heads
+        shape, model.head_dims, config.source_noise_beta, generator, config.private_noise_heads, own_alignment(model)
     )
     return time, {head: value.to(like) for head, value in noise.items()}
 
@@ -51,6 +52,7 @@ def draw_rule(model: DualheadModel, observation_dim: int, *, seed: int, has_toke
         observation_dim if config.observation_noise and model.training else 0,
         tokens.n_tokens if tokens is not None and corrupted else 0,
         None if model.shared_latent is None else model.shared_latent.dim,
+        own_alignment(model),
     )
 
 

@@ -18,6 +18,8 @@ Every head's noise stays standard normal, so that what each head samples is unch
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import torch
 from torch import Tensor
 
@@ -26,6 +28,8 @@ from dualhead_policy.model.dualhead_model import DualheadModel
 
 #: Singular values below this share of the largest count as none: directions that the map does not move.
 RANK_TOLERANCE = 1e-5
+#: Alignments of models in use and the versions of the scales that they come from: a training asks at every step.
+_known: WeakKeyDictionary[DualheadModel, tuple[tuple[int, ...], dict[str, Tensor]]] = WeakKeyDictionary()
 
 
 def polar_factor(cross_covariance: Tensor) -> Tensor:
@@ -46,7 +50,11 @@ def polar_factor(cross_covariance: Tensor) -> Tensor:
     return left[:, kept] @ right[kept]
 
 
-@torch.no_grad()
+def own_alignment(model: DualheadModel) -> dict[str, Tensor] | None:
+    """:func:`kinematic_alignment` where the model's configuration asks for it, else None."""
+    return None if model.config.source_noise_alignment is None else kinematic_alignment(model)
+
+
 def kinematic_alignment(model: DualheadModel) -> dict[str, Tensor]:
     """What carries the joint head's source noise to every other head: matrices (d_joint, d) by head, float32.
 
@@ -56,6 +64,18 @@ def kinematic_alignment(model: DualheadModel) -> dict[str, Tensor]:
     Raises:
         ValueError: If the map cannot be linearised there.
     """
+    fitted = [model.action_scale.scale, model.action_scale.shift, model.action_scale.spread]
+    if "joint" in model.frames:
+        fitted += [model.frame("joint").basis, model.frame("joint").spread]
+    versions = tuple(buffer._version for buffer in fitted)
+    known = _known.get(model)
+    if known is None or known[0] != versions:
+        known = _known[model] = versions, _linearised(model)
+    return known[1]
+
+
+@torch.no_grad()
+def _linearised(model: DualheadModel) -> dict[str, Tensor]:
     scale, shift = (value.double().cpu() for value in (model.action_scale.scale, model.action_scale.shift))
     joint = model.head_slices["joint"]
     aligned = {}

@@ -49,6 +49,7 @@ def sample_chunks(
         generator,
         config.private_noise_heads,
         lambda: kinematic_alignment(model),
+        config.source_noise_alignment,
     )
     shared = _shared_draws(model, embedding, num_samples, coupling, generator)
     heads: dict[str, Tensor] = {}

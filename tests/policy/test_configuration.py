@@ -33,6 +33,8 @@ RING = ["joint.nullspace.0", "joint.nullspace.1", "position.x", "position.y"]
         ({"token_draw": "learned"}, "needs a token"),
         ({"rotation_consistency_weight": 1.0}, "set policy.rotation_head=true"),
         ({"rotation_noise": "private"}, "is that of a rotation head"),
+        ({"source_noise_alignment": "kinematic"}, "is about noise that the heads share"),
+        ({"source_noise_alignment": "mirror", "source_noise_beta": 0.0}, "is not one of"),
         ({"consistency_weight": -1.0}, "must not be negative"),
         ({"consistency_norm": "inches"}, "is not one of"),
         ({"padded_steps": 16}, "must lie in 0"),

@@ -133,7 +133,8 @@ def mechanism_of(gate: Gate) -> Mechanism:
     # The paper's rows are sampled under test conditions, not recorded in closed loop.
     standard = standard and "rollouts" not in provenance
     # Their heads share noise coordinate by coordinate.
-    standard = standard and coupling.get("source_noise_alignment") is None
+    alignment = coupling.get("source_noise_alignment") or settings.get("source_noise_alignment")
+    standard = standard and alignment is None
     # Nor are they two draws of one head, or of LeRobot's other policies.
     standard = standard and provenance.get("method") not in (DRAWS, POLICY_PAIR)
     # The third head's runs (tab:pose) are no rows of tab:v3.
@@ -143,7 +144,7 @@ def mechanism_of(gate: Gate) -> Mechanism:
         n_modes=gate.n_modes,
         representation=kinematic_map.partition("/")[2],
         beta=float(beta),
-        alignment=coupling.get("source_noise_alignment"),
+        alignment=alignment,
         token=settings.get("token"),
         n_tokens=int(settings.get("n_tokens") or gate.n_modes),
         learned_draw=(coupling.get("token_draw") or settings.get("token_draw", "uniform")) != "uniform",

@@ -31,7 +31,7 @@ BEFORE_THE_FIELD = {"embedding_gain": 1.0}
 #: What a configuration may leave open until it meets its data.
 OPEN_VALUES = (None, "auto")
 #: Mechanisms, whose None is none and nothing that data fill in.
-NEVER_OPEN = ("token", "latent")
+NEVER_OPEN = ("token", "latent", "source_noise_alignment")
 #: What the flags of a policy begin with.
 POLICY = "policy."
 BATCH = "batch_size"

@@ -99,6 +99,24 @@ def test_on_the_arm_joints_that_turn_about_the_vertical_carry_the_lateral_noise(
     assert carried[6]  # it moves nothing, the hand turns about its axis; but it turns with the others
 
 
+def test_a_policy_that_asks_for_it_samples_so_by_itself(panda_data):
+    meta = LeRobotDatasetMetadata("local/panda", root=panda_data / "train")
+    small = {"device": "cpu", "velocity_width": 32, "seed": 0}
+    own = make_policy(
+        DualheadConfig(source_noise_beta=0.0, source_noise_alignment="kinematic", **small), ds_meta=meta
+    ).eval()
+    asked = make_policy(DualheadConfig(**small), ds_meta=meta).eval()
+    asked.load_state_dict(own.state_dict())
+    batch = {key: torch.zeros(1, *feature.shape) for key, feature in own.config.input_features.items()}
+    first = own.sample(batch, 8, generator=keyed_generator(0))
+    second = asked.sample(batch, 8, coupling=ALIGNED, generator=keyed_generator(0))
+    assert torch.equal(first.joint, second.joint)
+    assert torch.equal(first.position, second.position)
+    apart = asked.sample(batch, 8, coupling=SamplingCoupling(source_noise_beta=0.0), generator=keyed_generator(0))
+    assert torch.equal(first.joint, apart.joint)
+    assert not torch.allclose(first.position, apart.position)
+
+
 def test_what_has_no_map_or_no_such_alignment_is_refused():
     generator, dims = keyed_generator(0), {"joint": 2, "position": 2}
     with pytest.raises(ValueError, match="no kinematic map to align"):

@@ -39,6 +39,14 @@ RING = {
     "tight clipping": [["--policy.optimizer_grad_clip_norm=0.05"], ["--policy.optimizer_grad_clip_norm=10"]],
 }
 PANDA = {
+    "noise through the kinematic map, consistency": [
+        [
+            "--policy.source_noise_beta=0",
+            "--policy.source_noise_alignment=kinematic",
+            f"--policy.consistency_weight={weight}",
+        ]
+        for weight in (0.3, 3)
+    ],
     "frames, gripper, episode token": [["--policy.token=episode", "--policy.consistency_weight=1"]] * 2,
     "third head": [
         [
