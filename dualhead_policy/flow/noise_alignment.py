@@ -70,11 +70,12 @@ def kinematic_alignment(model: DualheadModel) -> dict[str, Tensor]:
     versions = tuple(buffer._version for buffer in fitted)
     known = _known.get(model)
     if known is None or known[0] != versions:
-        known = _known[model] = versions, _linearised(model)
+        # LeRobot samples in inference mode, in which nothing can be differentiated.
+        with torch.inference_mode(False), torch.no_grad():
+            known = _known[model] = versions, _linearised(model)
     return known[1]
 
 
-@torch.no_grad()
 def _linearised(model: DualheadModel) -> dict[str, Tensor]:
     scale, shift = (value.double().cpu() for value in (model.action_scale.scale, model.action_scale.shift))
     joint = model.head_slices["joint"]

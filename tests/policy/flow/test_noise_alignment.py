@@ -108,7 +108,8 @@ def test_a_policy_that_asks_for_it_samples_so_by_itself(panda_data):
     asked = make_policy(DualheadConfig(**small), ds_meta=meta).eval()
     asked.load_state_dict(own.state_dict())
     batch = {key: torch.zeros(1, *feature.shape) for key, feature in own.config.input_features.items()}
-    first = own.sample(batch, 8, generator=keyed_generator(0))
+    with torch.inference_mode():  # as LeRobot does
+        first = own.sample(batch, 8, generator=keyed_generator(0))
     second = asked.sample(batch, 8, coupling=ALIGNED, generator=keyed_generator(0))
     assert torch.equal(first.joint, second.joint)
     assert torch.equal(first.position, second.position)
