@@ -135,6 +135,8 @@ def mechanism_of(gate: Gate) -> Mechanism:
     # Their heads share noise coordinate by coordinate.
     alignment = coupling.get("source_noise_alignment") or settings.get("source_noise_alignment")
     standard = standard and alignment is None
+    # Nor are an ensemble's members two heads.
+    standard = standard and "members" not in provenance
     # Nor are they two draws of one head, or of LeRobot's other policies.
     standard = standard and provenance.get("method") not in (DRAWS, POLICY_PAIR)
     # The third head's runs (tab:pose) are no rows of tab:v3.
