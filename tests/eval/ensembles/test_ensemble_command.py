@@ -5,6 +5,7 @@ import pytest
 from dualhead_eval.cli import main
 from dualhead_eval.ensembles.summary import paper_ensemble, summarise_ensemble
 from dualhead_eval.gate import read_gate
+from dualhead_eval.paper.mechanism import mechanism_of
 from dualhead_eval.report.ensemble_tables import contamination_table, ensemble_choices_table
 
 FILES = ("private", "shared", "vfd", "vfd_unweighted")
@@ -74,6 +75,7 @@ def test_the_papers_row_is_that_of_the_members_objectives(make_gate, objectives,
     }
     gate = make_gate(partition="bypass-v2", members=members, method="ensemble")
     assert paper_ensemble(gate) == row
+    assert mechanism_of(gate).paper_row == ""  # no pair of its members is two heads
     assert paper_ensemble(make_gate(partition="ring", members=members)) is None
     members["member 0"]["config"]["token"] = "oracle"
     assert paper_ensemble(make_gate(partition="bypass-v2", members=members)) is None
