@@ -20,9 +20,8 @@ def mechanism_lines(config: DualheadConfig) -> list[str]:
     lines = []
     if config.source_noise_beta < 1:
         how = "fully" if config.source_noise_beta == 0 else "partly"
-        lines.append(f"The source noise is {how} shared (beta = {config.source_noise_beta:g}, family B).")
-        if config.source_noise_alignment is not None:
-            lines[-1] = lines[-1].replace(", family B", ", through the kinematic map")
+        what = "family B" if config.source_noise_alignment is None else "through the kinematic map"
+        lines.append(f"The source noise is {how} shared (beta = {config.source_noise_beta:g}, {what}).")
     if config.token is not None:
         draw = {
             "uniform": "uniformly",

@@ -129,7 +129,9 @@ class ExactReference:
         leading = (len(condition), num_samples)
         shape = (*leading, geometry.HORIZON)
         draw = coupling.token_draw or self.token_draw
-        alignment = self._alignment if isinstance(self.map, LinearMap) else None
+        # A linear map's columns are orthonormal: they are their own polar factor.
+        carry = torch.from_numpy(self.map.matrix).float() if isinstance(self.map, LinearMap) else None
+        alignment = None if carry is None else lambda: {"position": carry}
         source = resolve_source_noise(
             coupling, shape, self.head_dims, self.source_noise_beta, generator, alignment=alignment
         )
@@ -226,11 +228,6 @@ class ExactReference:
         outside = outside * _shrinkage(0.0, num_steps)
         position = unit[:, None] * along[..., None, :] + across
         return position @ matrix.T + outside
-
-    def _alignment(self) -> dict[str, Tensor]:
-        """A linear map's columns are orthonormal: they are their own polar factor."""
-        assert isinstance(self.map, LinearMap)
-        return {"position": torch.from_numpy(self.map.matrix).float()}
 
     def _integrate_matched(self, noise: Tensor, condition: np.ndarray, log_prior: Tensor, num_steps: int) -> Tensor:
         """Euler integration with each mode moment-matched in head A's space (the polar representation).

@@ -5,12 +5,14 @@ The law is that of :mod:`dualhead_policy.flow.noise_alignment`: rho = (2 / pi) a
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dualhead_envs.dataset_frames import SplitFrames
-from dualhead_policy.flow.noise_alignment import kinematic_alignment
-from dualhead_policy.model.dualhead_model import DualheadModel
+if TYPE_CHECKING:
+    from dualhead_envs.dataset_frames import SplitFrames
+    from dualhead_policy.model.dualhead_model import DualheadModel
 
 
 def rho_of_alignment(alignment: ArrayLike) -> NDArray[np.float64]:
@@ -35,6 +37,8 @@ def demonstrated_alignment(
     Raises:
         ValueError: If the model lacks a head, or the demonstrations are not pairs in two modes.
     """
+    from dualhead_policy.flow.noise_alignment import kinematic_alignment  # not for the law alone: it loads torch
+
     if unknown := sorted(set(heads) - set(model.head_slices)):
         raise ValueError(f"the policy has no head {unknown[0]!r}: choose two of {list(model.head_slices)}")
     scale = model.action_scale.scale.double().cpu().numpy()
@@ -48,12 +52,11 @@ def demonstrated_alignment(
             )
         apart.append((windows[:, 0] - windows[:, 1]) / scale[model.head_slices[head]])
     carried = {} if source_noise_alignment is None else kinematic_alignment(model)
-    seen = [_in_shared_noise(path, carried.get(head)) for path, head in zip(apart, heads, strict=True)]
+    # What the shared noise's coordinates see of a difference of paths.
+    seen = [
+        path @ carried[head].double().numpy().T if head in carried else path
+        for path, head in zip(apart, heads, strict=True)
+    ]
     width = min(path.shape[-1] for path in seen)
     overlap = np.einsum("bhd,bhd->b", *(path[..., :width] for path in seen))
     return overlap / np.prod([np.linalg.norm(path, axis=(1, 2)) for path in apart], axis=0)
-
-
-def _in_shared_noise(path: NDArray[np.float64], carry: object) -> NDArray[np.float64]:
-    """A difference of paths as the shared noise's coordinates see it."""
-    return path if carry is None else path @ np.asarray(carry, dtype=np.float64).T

@@ -17,6 +17,7 @@ from dualhead_eval.statistics.run import Run, open_runs
 #: What a row says of a field of the policy that was another one in sampling.
 SAMPLED_OTHERWISE = {
     "source_noise_beta": "noise shared in sampling alone",
+    "source_noise_alignment": "noise aligned by the kinematic map in sampling alone",
     "token_draw": "token drawn otherwise in sampling alone",
 }
 
@@ -47,11 +48,9 @@ class NamedRun:
         if self.note:
             name += f", {self.note}"
         coupling, config = (self.run.gate.provenance.get(part) or {} for part in ("coupling", "config"))
-        if coupling.get("source_noise_alignment") is not None:
-            name += " (noise aligned by the kinematic map in sampling alone)"
         for field, remark in SAMPLED_OTHERWISE.items():
-            sampled, trained = coupling.get(field), config.get(field)
-            if sampled is not None and trained is not None and sampled != trained:
+            sampled = coupling.get(field)
+            if sampled is not None and field in config and sampled != config[field]:
                 name += f" ({remark})"
         return name
 

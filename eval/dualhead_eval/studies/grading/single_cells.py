@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dualhead_envs.ring.maps import REPRESENTATION_MAPS, LinearMap
+from dualhead_eval.effects.noise_law import rho_of_alignment
 from dualhead_eval.effects.sites import CORNER_CAPACITY, CORNER_RHO, Occupancy
 from dualhead_eval.gate import Gate
 from dualhead_eval.gate.gate import DRAWS
@@ -192,7 +193,7 @@ def shared_noise_law(gate: Gate) -> float | None:
     symmetric = (shared + shared.T) / 2
     if not np.allclose(symmetric, symmetric[0, 0] * np.eye(2)):
         return None
-    return float(2 / np.pi * np.arcsin(np.clip(symmetric[0, 0], -1, 1)))
+    return float(rho_of_alignment(symmetric[0, 0]))
 
 
 def _too_few(cell: StudyCell) -> str:
