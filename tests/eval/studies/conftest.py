@@ -1,13 +1,16 @@
-"""A cell of a study: seeds of known coupling, as if trained and evaluated."""
+"""A cell of a study, seeds of known coupling as if trained and evaluated; and a small study that is."""
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from small_study import command, write_study
 
+from dualhead_eval.cli import main
 from dualhead_eval.statistics.run import open_run
 from dualhead_eval.studies.gate_store import StudyResult
 from dualhead_eval.studies.study_cells import StudyCell
@@ -46,3 +49,20 @@ def cell(make_gate):
         return StudyCell(dataset, configuration, budget, at, bank, results, runs, tuple(planned))
 
     return build
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """A finished study's folder."""
+    folder = tmp_path_factory.mktemp("study")
+    write_study(folder)
+    assert main(command(folder)) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(finished, tmp_path):
+    """A copy of a finished study's results alone: no data, no runs, as somebody else would find them."""
+    shutil.copytree(finished / "results", tmp_path / "results")
+    write_study(tmp_path)
+    return tmp_path

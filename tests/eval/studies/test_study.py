@@ -10,119 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import yaml
+from small_study import STUDY, command, contents, write_study
 
 from dualhead_eval.cli import main
 from dualhead_eval.evaluation.rollouts import read_closed_loop
 from dualhead_eval.gate import read_gate, write_gate
-from dualhead_eval.gate.pack import GatePack
 from dualhead_eval.studies.gate_store import GateStore, study_results
 from dualhead_eval.studies.study_file import read_study
 from dualhead_eval.studies.study_plan import plan_study
-
-STUDY = {
-    "title": "Shared noise on a small ring",
-    "question": "Does shared noise do what the map says?",
-    "datasets": {
-        "ring": {
-            "env": "RotatingRing-v2",
-            "env_kwargs": {"representation": "nullspace"},
-            "episodes": 400,
-            "conditions": 12,
-        }
-    },
-    "banks": {
-        "frozen": {"conditions": 6, "pairs": 64},
-        "large": {"conditions": 12, "pairs": 32, "residuals": False},
-    },
-    "flags": {"policy.velocity_width": 64, "policy.encoder_dim": 32, "policy.device": "cpu"},
-    "runs": [
-        {
-            "importance": 1,
-            "configurations": [
-                {"name": "A_independent", "flags": {"policy.source_noise_beta": 1.0}},
-                {"name": "B_shared_noise", "flags": {"policy.source_noise_beta": 0.0}},
-            ],
-            "seeds": [0, 1],
-            "steps": 150,
-            "evaluate_at": [50, 150],
-            "closed_loops": {"rows": ["A_independent"], "controls": ["joint", "position"], "episodes": 3},
-        },
-        {
-            "importance": 2,
-            "configurations": [
-                {"name": "A_independent", "flags": {"policy.source_noise_beta": 1.0}},
-                {"name": "B_shared_noise", "flags": {"policy.source_noise_beta": 0.0}},
-            ],
-            "resampled": [
-                {"name": "B_in_sampling", "of": "A_independent", "source_noise_beta": 0.0},
-                {"name": "one_head", "of": "B_shared_noise", "draws": "position"},
-            ],
-            "seeds": [0, 1],
-            "steps": 150,
-            "banks": ["large"],
-        },
-    ],
-    "criteria": [
-        {
-            "name": "floor",
-            "test": "equivalence",
-            "claim": "Independent heads are at the floor.",
-            "criterion": "seed-level TOST of rho at 2 %",
-            "rows": ["A_independent"],
-            "margin": 0.02,
-        },
-        {
-            "name": "optimum",
-            "test": "exact",
-            "claim": "Networks reach the optimum.",
-            "criterion": "within 3 points",
-            "rows": ["A_independent", "B_shared_noise"],
-            "margin": 0.03,
-        },
-        {
-            "name": "driving",
-            "test": "closed_loop",
-            "claim": "Either head drives by every way.",
-            "criterion": "Wilson's lower ends",
-            "rows": ["A_independent"],
-            "at_least": 0.9,
-            "each_way_at_least": 0.8,
-        },
-    ],
-}
-
-
-def write_study(folder: Path, **changes) -> Path:
-    path = folder / "small.yaml"
-    path.write_text(yaml.safe_dump(STUDY | changes, sort_keys=False))
-    return path
-
-
-def command(folder: Path, *more: str, study: Path | None = None) -> list[str]:
-    places = ["--data", str(folder / "data"), "--runs", str(folder / "runs"), "--results", str(folder / "results")]
-    return ["study", str(study or folder / "small.yaml"), *places, "--jobs", "1", "--no-progress", *more]
-
-
-def contents(folder: Path) -> dict[Path, tuple[int, bytes]]:
-    return {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.rglob("*") if path.is_file()}
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A finished study's folder."""
-    folder = tmp_path_factory.mktemp("study")
-    write_study(folder)
-    assert main(command(folder)) == 0
-    return folder
-
-
-@pytest.fixture
-def copied(finished, tmp_path):
-    """A copy of a finished study's results alone: no data, no runs, as somebody else would find them."""
-    shutil.copytree(finished / "results", tmp_path / "results")
-    write_study(tmp_path)
-    return tmp_path
 
 
 def test_a_study_goes_from_its_file_to_its_verdict(finished):
@@ -241,51 +136,6 @@ def test_a_finished_study_changes_nothing_and_needs_neither_data_nor_runs(copied
     assert "16 of 16 evaluations are there" in out
     assert "floor" in out
     assert not (copied / "data").exists()
-
-
-def test_packed_gates_are_the_same_study_and_unpack_into_the_same_files(copied, capsys):
-    before = contents(copied / "results")
-    assert main(command(copied, "--verdict-only", "--pack")) == 0
-    told = capsys.readouterr().out
-    packs = list((copied / "results" / "gates").iterdir())
-    assert [pack.name for pack in packs] == ["ring.gates.jsonl.xz"]
-    count = sum(file.name.endswith(".gate.json.gz") and "gates" in file.parts for file in before)
-    assert f"{count} gate files packed in" in told
-    assert main(command(copied)) == 0  # neither data nor runs are there, nor needed
-    assert f"{count} of {count} evaluations are there" in capsys.readouterr().out
-    assert len(list(study_results(copied / "results" / "gates"))) == count
-    assert main(["report", str(packs[0]), "--only", "A_independent-*/000150-large"]) == 0
-    assert "B_shared_noise" not in capsys.readouterr().out
-    assert main(command(copied, "--verdict-only", "--pack")) == 0  # nothing is left to pack
-    assert "gate files packed" not in capsys.readouterr().out
-    assert main(command(copied, "--verdict-only", "--unpack")) == 0
-    after = contents(copied / "results")
-    assert {file: content for file, (_, content) in after.items()} == {
-        file: content for file, (_, content) in before.items()
-    }
-
-
-def test_a_file_that_contradicts_the_pack_is_named_and_neither_is_touched(copied, capsys):
-    gates = copied / "results" / "gates"
-    first, *_ = sorted(gates.rglob("*.gate.json.gz"))
-    assert main(command(copied, "--verdict-only", "--pack")) == 0
-    pack = gates / "ring.gates.jsonl.xz"
-    packed = GatePack(pack)
-    write_gate(packed.gate(packed.names[1]), first)
-    before = contents(gates)
-    for flag in ("--pack", "--unpack"):
-        assert main(command(copied, "--verdict-only", flag)) == 2
-        assert f"{first} is another gate than that of its name" in " ".join(capsys.readouterr().err.split())
-    assert contents(gates) == before
-
-
-def test_a_torn_pack_is_refused_by_its_name(copied, capsys):
-    assert main(command(copied, "--verdict-only", "--pack")) == 0
-    pack = copied / "results" / "gates" / "ring.gates.jsonl.xz"
-    pack.write_bytes(pack.read_bytes()[:-100])
-    capsys.readouterr()
-    assert main(command(copied)) == 2
-    assert "ring.gates.jsonl.xz is truncated" in capsys.readouterr().err
 
 
 def test_what_is_trained_is_evaluated_before_more_is_trained(finished, tmp_path, capsys):
