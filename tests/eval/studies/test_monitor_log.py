@@ -10,11 +10,14 @@ import pytest
 from dualhead_envs.dataset_frames import read_split
 from dualhead_eval.monitor.branch_flag import BranchFlag
 from dualhead_eval.monitor.signals.registry import make_signal
-from dualhead_eval.studies.monitor.log_table import collect_log
+from dualhead_eval.studies.monitor.arm_scores import ArmScores
+from dualhead_eval.studies.monitor.log_table import collect_log, write_log
 from dualhead_eval.studies.monitor.recording import parts, record_log
 from dualhead_eval.studies.monitor.registration import registered
+from dualhead_eval.studies.monitor.score_files import ScoreJob, score_file
 from dualhead_eval.studies.monitor.scoring import score_arm
 from dualhead_policy.pretrained import load_policy
+from dualhead_policy.sampling import SamplingCoupling
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +101,20 @@ def test_scores_are_a_function_of_their_seeds(log, executor):
         assert (values != other.scores[name]).any()
     assert first.entropy == pytest.approx(np.full(len(log), np.log(2)), abs=1e-6)  # a uniform oracle token
     assert first.pairs.sum() <= 4 * len(log)
+
+
+def test_an_arm_is_scored_under_its_own_coupling(log, executor, tmp_path):
+    """The same policy through its file: aligned noise gives other pairs, and the file says what they shared."""
+    write_log(log, tmp_path / "log.parquet")
+    scoring = registered().scoring.model_copy(update={"samples": 4, "signals": ["residual"]})
+    couplings = {"own": None, "aligned": SamplingCoupling(source_noise_beta=0.0, source_noise_alignment="kinematic")}
+    for name, coupling in couplings.items():
+        job = ScoreJob(executor, tmp_path / f"{name}.parquet", 1, coupling)
+        score_file(tmp_path / "log.parquet", job, scoring, "cpu")
+    own, aligned = (ArmScores.read(tmp_path / f"{name}.parquet") for name in couplings)
+    assert (own.scores["residual"] != aligned.scores["residual"]).any()
+    assert "coupling" not in own.provenance
+    assert aligned.provenance["coupling"]["source_noise_alignment"] == "kinematic"
 
 
 def test_scores_are_the_monitors_own(log, executor):

@@ -12,7 +12,7 @@ from dualhead_envs.validated_json import validated
 from dualhead_eval.monitor.aggregation import AGGREGATES
 from dualhead_eval.monitor.signals.registry import SIGNALS
 from dualhead_eval.monitor.thresholds.registry import make_threshold
-from dualhead_eval.studies.monitor.registration import Registration, registered
+from dualhead_eval.studies.monitor.registration import Registration, registered, registered_resampled
 
 ROOT = Path(__file__).parents[3]
 
@@ -59,3 +59,12 @@ def test_an_arm_may_not_share_the_executors_seed():
     document["executor"]["seed"] = document["presets"]["full"]["seeds"][0]
     with pytest.raises(ValueError, match="expected another one: here"):
         validated(document, Registration, source="protocol", remedy="here")
+
+
+def test_resampled_arms_sample_policies_of_a_trained_arm_that_share_nothing_yet():
+    protocol, resampled = registered(), registered_resampled()
+    for name, arm in resampled.arms.items():
+        assert name not in protocol.arms
+        assert protocol.arms[arm.of] == {"source_noise_beta": 1.0}
+        assert arm.coupling.source_noise_beta == 0
+    assert set(resampled.claims) <= set(resampled.arms)

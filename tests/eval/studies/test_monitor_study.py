@@ -111,6 +111,40 @@ def test_a_rival_that_compares_distributions_is_graded_where_it_was_registered(f
     assert [verdict.grade for verdict in grade_distribution_rival(arm, rival, later.S5)] == ["met", "met"]
 
 
+def test_an_arm_that_trains_nothing_is_graded_and_set_beside_the_trained_one(found, protocol):
+    log, scored, conclusions = found
+    own = {"A_aligned": scored["I"], "A_shared": scored["A"]}
+    made = conclude(log, scored | own, protocol, protocol.presets["full"].seeds)
+    aligned, shared = ({v.name: v for v in made.verdicts[name]} for name in own)
+    assert "S6a" not in {verdict.name for verdict in conclusions.verdicts["I"]}
+    assert [aligned[name].grade for name in ("P1", "P2", "S6a")] == ["met", "met", "reported"]
+    assert aligned["P1"].value == {v.name: v for v in conclusions.verdicts["I"]}["P1"].value
+    assert aligned["S6a"].value == aligned["S6b"].value == 0
+    assert shared["P1"].grade != "met"
+    assert shared["S6a"].value == -aligned["P1"].value
+    named = {row[0] for row in study_tables(log, made, protocol)[0].rows}
+    assert named == {"I - A", "A_aligned - A", "A_shared - A (no claim)"}
+
+
+def test_arms_that_train_nothing_are_scored_with_the_policies_that_they_sample(tmp_path, protocol):
+    study = MonitorStudy(protocol, "v2", "smoke", tmp_path / "S", arms=tmp_path / "arms")
+    for seed in study.budget.seeds:
+        folder = study.arm("A", seed) / "pretrained_model"
+        folder.mkdir(parents=True)
+        (folder / "config.json").write_text("{}")
+    jobs = study.missing()
+    first, last = study.budget.seeds[0], study.budget.seeds[-1]
+    assert [job.target.stem for job in jobs] == [
+        f"{arm}-{seed}" for arms in (["A"], ["A_aligned", "A_shared"]) for seed in (first, last) for arm in arms
+    ]
+    assert {job.policy for job in jobs} == {study.arm("A", seed) for seed in study.budget.seeds}
+    assert jobs[0].coupling is None
+    assert jobs[2].coupling.source_noise_alignment == "kinematic"
+    study.scores_file("A_aligned", first).parent.mkdir(parents=True)
+    study.scores_file("A_aligned", first).write_bytes(b"scored")
+    assert f"A_aligned-{first}" not in {job.target.stem for job in study.missing()}
+
+
 def test_a_threshold_per_flag_takes_the_gap_away_without_coordination(found):
     rivals = found[2].rivals
     assert rivals["A", "conformal:paper-step"]["gap"].value > 0.4

@@ -12,7 +12,12 @@ from dualhead_eval.studies.monitor.arm_scores import ArmScores
 from dualhead_eval.studies.monitor.families import Families, FamilyMeasure, RunMeasures
 from dualhead_eval.studies.monitor.log_table import MonitorLog
 from dualhead_eval.studies.monitor.regime import Regime, mean_regime, regime
-from dualhead_eval.studies.monitor.registration import LaterCriteria, Registration, Rule
+from dualhead_eval.studies.monitor.registration import (
+    LaterCriteria,
+    Registration,
+    Rule,
+    registered_resampled,
+)
 from dualhead_eval.studies.monitor.verdicts import (
     NOT_DECIDED,
     NOT_TESTED,
@@ -21,6 +26,7 @@ from dualhead_eval.studies.monitor.verdicts import (
     grade_distribution_rival,
     grade_false_alarms,
     grade_rival,
+    report_beside_primary,
     report_difference,
 )
 
@@ -39,7 +45,7 @@ class Conclusions:
         families: Measures by arm and signal, over the arm's seeds.
         rivals: Measures of the criteria's signal by arm and threshold: the baseline's under thresholds that need no
             coordination, and every arm's under the registered ones.
-        verdicts: Graded criteria by arm; only the primary arm's are claims.
+        verdicts: Graded criteria by arm; claims are those of the primary arm and of resampled ones that are said to be.
         alarms: Alarm logs of the first seed of every arm, per episode, for figures.
     """
 
@@ -127,6 +133,10 @@ def _grade(
     if later is not None:
         rule = later.S5
         added = grade_distribution_rival(family(arm, rule.against), family(base, rule.signal), rule)
+    if arm in registered_resampled().arms and all(
+        (protocol.primary_arm, seed, criteria.P1.signal) in runs for seed in seeds
+    ):
+        added += report_beside_primary(protocol.primary_arm, ours, family(protocol.primary_arm, criteria.P1.signal))
     return [
         grade_false_alarms(ours[criteria.P1.measure], theirs[criteria.P1.measure], criteria),
         grade_detection(ours[criteria.P2.measure], theirs[criteria.P2.measure], criteria),

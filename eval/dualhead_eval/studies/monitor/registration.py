@@ -9,8 +9,9 @@ import yaml
 from pydantic import Field, model_validator
 
 from dualhead_envs.validated_json import Schema, validated
+from dualhead_policy.sampling import SamplingCoupling
 
-SOURCE, LATER_SOURCE = "registration.yaml", "later.yaml"
+SOURCE, LATER_SOURCE, RESAMPLED_SOURCE = "registration.yaml", "later.yaml", "resampled.yaml"
 PolicyFields = dict[str, str | int | float]
 Seed = Annotated[int, Field(ge=0)]
 #: Environments that the protocol names.
@@ -175,6 +176,34 @@ class LaterCriteria(Schema):
     S5: DistributionRival
 
 
+class ResampledArm(Schema):
+    """An arm that trains nothing: another arm's policies, their source noise coupled otherwise in sampling.
+
+    Attributes:
+        of: The arm whose policies they are.
+        source_noise_beta: 1 private noise, 0 shared noise.
+        source_noise_alignment: Shared noise goes through the kinematic map; None: coordinate by coordinate.
+    """
+
+    of: str
+    source_noise_beta: Annotated[float, Field(ge=0, le=1)]
+    source_noise_alignment: Literal["kinematic"] | None = None
+
+    @property
+    def coupling(self) -> SamplingCoupling:
+        """What its heads share."""
+        return SamplingCoupling(
+            source_noise_beta=self.source_noise_beta, source_noise_alignment=self.source_noise_alignment
+        )
+
+
+class ResampledArms(Schema):
+    """Resampled arms by name, and those whose P1 and P2 are claims, apart from the protocol's own."""
+
+    arms: dict[str, ResampledArm]
+    claims: list[str]
+
+
 class Registration(Schema):
     """The protocol; ``docs/monitor_registration.md`` says in words what each field is for."""
 
@@ -210,6 +239,11 @@ def registered() -> Registration:
 def registered_later() -> LaterCriteria:
     """What was added to the protocol later; a file of its own, so that the protocol stays what it was."""
     return _packaged(LATER_SOURCE, LaterCriteria)
+
+
+def registered_resampled() -> ResampledArms:
+    """The arms that were added later and train nothing."""
+    return _packaged(RESAMPLED_SOURCE, ResampledArms)
 
 
 def _packaged[S: Schema](name: str, schema: type[S]) -> S:

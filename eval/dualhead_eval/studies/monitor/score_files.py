@@ -4,17 +4,36 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from joblib import Parallel, delayed, parallel_config
 
 from dualhead_envs.worker_processes import end_with, interrupts_kept_from_workers
 from dualhead_eval.studies.monitor.registration import Scoring
+from dualhead_policy.sampling import SamplingCoupling
+
+
+@dataclass(frozen=True)
+class ScoreJob:
+    """A policy to score.
+
+    Attributes:
+        policy: Its folder.
+        target: The file to write.
+        seed: Its training seed.
+        coupling: What its heads share; None: as they were trained.
+    """
+
+    policy: Path
+    target: Path
+    seed: int
+    coupling: SamplingCoupling | None = None
 
 
 def score_files(
     log: Path,
-    jobs: Sequence[tuple[Path, Path, int]],
+    jobs: Sequence[ScoreJob],
     scoring: Scoring,
     *,
     workers: int = 1,
@@ -25,7 +44,7 @@ def score_files(
 
     Args:
         log: The log's file.
-        jobs: Policy's folder, file to write, and training seed of each.
+        jobs: The policies.
         scoring: How they are scored.
         workers: Processes at a time.
         device: Where the policies are sampled.
@@ -34,16 +53,17 @@ def score_files(
     with parallel_config(backend="loky", initializer=end_with, initargs=(os.getpid(),)):
         parallel = Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1, pre_dispatch="all")
         with interrupts_kept_from_workers():
-            done = parallel(delayed(score_file)(log, *job, scoring, device) for job in jobs)
+            done = parallel(delayed(score_file)(log, job, scoring, device) for job in jobs)
         for _ in done:
             if progress is not None:
                 progress(1)
 
 
-def score_file(log: Path, policy_path: Path, target: Path, seed: int, scoring: Scoring, device: str) -> None:
+def score_file(log: Path, job: ScoreJob, scoring: Scoring, device: str) -> None:
     """Score one policy and write its file."""
     import torch
 
+    from dualhead_eval.evaluation.protocol import described_coupling
     from dualhead_eval.studies.monitor.log_table import read_log
     from dualhead_eval.studies.monitor.scoring import score_arm
     from dualhead_policy.pretrained import load_policy, policy_folder
@@ -52,14 +72,18 @@ def score_file(log: Path, policy_path: Path, target: Path, seed: int, scoring: S
 
     quiet_libraries()
     torch.set_num_threads(1)
-    policy, preprocess = load_policy(policy_path, device=device)
+    policy, preprocess = load_policy(job.policy, device=device)
+    provenance = policy_provenance(policy, policy_folder(job.policy))
+    if job.coupling is not None:
+        provenance["coupling"] = described_coupling(job.coupling)
     scored = score_arm(
         read_log(log),
         policy,
         preprocess,
         samples=scoring.samples,
-        seed=(scoring.seed, seed),
+        seed=(scoring.seed, job.seed),
         signals=scoring.signals,
-        provenance=policy_provenance(policy, policy_folder(policy_path)),
+        provenance=provenance,
+        coupling=job.coupling,
     )
-    scored.write(target)
+    scored.write(job.target)

@@ -16,6 +16,7 @@ from dualhead_eval.monitor.signals.registry import make_signal
 from dualhead_eval.studies.monitor.arm_scores import ArmScores
 from dualhead_eval.studies.monitor.log_table import MonitorLog
 from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.sampling import SamplingCoupling
 
 #: Decisions sampled together; draws are a function of the block, so that this number is part of the protocol.
 BLOCK = 1024
@@ -30,6 +31,7 @@ def score_arm(
     seed: tuple[int, int],
     signals: list[str],
     provenance: dict[str, Any],
+    coupling: SamplingCoupling | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> ArmScores:
     """Score a policy on the log.
@@ -42,6 +44,7 @@ def score_arm(
         seed: Seeds of the draws: the protocol's and the arm's training seed.
         signals: Names of signals that learn nothing.
         provenance: What to say of the policy.
+        coupling: What the heads share; None: as they were trained.
         progress: Called with the number of decisions scored since the last call.
 
     Raises:
@@ -61,7 +64,7 @@ def score_arm(
     scored = ArmScores.empty(len(log), signals, n_modes, tokens, provenance)
     made = [make_signal(name) for name in signals]
     before = -1
-    for row, decision, token, probabilities in _decisions(log, policy, preprocess, builder, samples, seed):
+    for row, decision, token, probabilities in _decisions(log, policy, preprocess, builder, samples, seed, coupling):
         if log.episode[row] != before:
             before = log.episode[row]
             for signal in made:
@@ -80,7 +83,13 @@ def score_arm(
 
 
 def _decisions(
-    log: MonitorLog, policy: DualheadPolicy, preprocess: Any, builder: Any, samples: int, seed: tuple[int, int]
+    log: MonitorLog,
+    policy: DualheadPolicy,
+    preprocess: Any,
+    builder: Any,
+    samples: int,
+    seed: tuple[int, int],
+    coupling: SamplingCoupling | None,
 ) -> Iterator[tuple[int, Decision, NDArray, NDArray]]:
     """Every decision of the log with the policy's fresh pairs, their tokens and the tokens' probabilities."""
     for block, start in enumerate(range(0, len(log), BLOCK)):
@@ -89,7 +98,7 @@ def _decisions(
         state = np.random.SeedSequence([*seed, block]).generate_state(1)[0]
         generator = torch.Generator().manual_seed(int(state))
         with torch.no_grad():
-            drawn = policy.sample(batch, samples, generator=generator)
+            drawn = policy.sample(batch, samples, coupling=coupling, generator=generator)
             probabilities = policy.token_probabilities(batch)
         none = np.empty((rows.stop - start, 0))
         token = none if drawn.token is None else drawn.token.cpu().numpy()

@@ -29,7 +29,9 @@ from dualhead_eval.studies.monitor.registration import (
     PolicyFields,
     Registration,
     registered_later,
+    registered_resampled,
 )
+from dualhead_eval.studies.monitor.score_files import ScoreJob, score_files
 from dualhead_policy.pretrained import policy_folder
 
 SETTINGS, LOG, SCORES = "study.json", "log.parquet", "scores"
@@ -69,6 +71,7 @@ class MonitorStudy:
         self.data = data or root / "data"
         self.given_arms, self.given_executor = arms, executor
         self.jobs, self.device = jobs, device
+        self.resampled = registered_resampled().arms
         self.console = Console(stderr=True)
 
     @property
@@ -125,8 +128,12 @@ class MonitorStudy:
         if self.given_executor is None and not (self.root / LOG).is_file():
             wanted.append((EXECUTOR, executor.seed, executor.policy))
         if self.given_arms is None:
-            wanted += [(arm, seed, fields) for arm, fields in self.protocol.arms.items() for seed in self.budget.seeds
-                       if not self.scores_file(arm, seed).is_file()]  # fmt: skip
+            wanted += [
+                (arm, seed, fields)
+                for arm, fields in self.protocol.arms.items()
+                for seed in self.budget.seeds
+                if not all(self.scores_file(name, seed).is_file() for name in self._scored_with(arm))
+            ]
         root = (self.data / "train").resolve()
         runs = [
             SweepRun(
@@ -180,31 +187,34 @@ class MonitorStudy:
         write_log(log, self.root / LOG)
         return log
 
+    def _scored_with(self, arm: str) -> list[str]:
+        """The arms that are scored with the policies of a trained one: itself, and those that sample it otherwise."""
+        return [arm, *(name for name, resampled in self.resampled.items() if resampled.of == arm)]
+
     def scores_file(self, arm: str, seed: int) -> Path:
         """Where the scores of an arm are kept."""
         return self.root / SCORES / f"{arm}-{seed}.parquet"
 
-    def missing(self) -> list[tuple[str, int]]:
-        """Arms and seeds that can be scored and are not, the baseline and the primary arm first."""
-        order = [self.protocol.baseline, self.protocol.primary_arm]
-        order += [arm for arm in self.protocol.arms if arm not in order]
-        pairs = [(arm, seed) for seed in self.budget.seeds for arm in order[:2]]
-        pairs += [(arm, seed) for seed in self.budget.seeds for arm in order[2:]]
-        return [
-            (arm, seed)
-            for arm, seed in pairs
-            if not self.scores_file(arm, seed).is_file() and _has_policy(self.arm(arm, seed))
-        ]
+    def missing(self) -> list[ScoreJob]:
+        """What can be scored and is not: the baseline and the primary arm first, arms that train nothing last."""
+        first = [self.protocol.baseline, self.protocol.primary_arm]
+        others = [arm for arm in self.protocol.arms if arm not in first]
+        jobs = []
+        for arms in (first, others, list(self.resampled)):
+            for seed in self.budget.seeds:
+                for arm in arms:
+                    resampled = self.resampled.get(arm)
+                    policy = self.arm(arm if resampled is None else resampled.of, seed)
+                    coupling = None if resampled is None else resampled.coupling
+                    jobs.append(ScoreJob(policy, self.scores_file(arm, seed), seed, coupling))
+        return [job for job in jobs if not job.target.is_file() and _has_policy(job.policy)]
 
     def score(self, log: MonitorLog) -> None:
         """Score every arm that is there and not scored yet, several at a time."""
-        from dualhead_eval.studies.monitor.score_files import score_files
-
         todo = self.missing()
         with self._bar("scoring arms", len(todo), "runs") as advance:
-            jobs = [(self.arm(arm, seed), self.scores_file(arm, seed), seed) for arm, seed in todo]
             score_files(
-                self.root / LOG, jobs, self.protocol.scoring, workers=self.jobs, device=self.device, progress=advance
+                self.root / LOG, todo, self.protocol.scoring, workers=self.jobs, device=self.device, progress=advance
             )
 
     def score_observations(self, log: MonitorLog) -> None:
@@ -221,7 +231,7 @@ class MonitorStudy:
     def scored(self) -> dict[str, dict[int, ArmScores]]:
         """The scores of every arm that has some, by training seed."""
         found: dict[str, dict[int, ArmScores]] = {}
-        for arm in self.protocol.arms:
+        for arm in [*self.protocol.arms, *self.resampled]:
             for seed in self.budget.seeds:
                 if self.scores_file(arm, seed).is_file():
                     found.setdefault(arm, {})[seed] = ArmScores.read(self.scores_file(arm, seed))

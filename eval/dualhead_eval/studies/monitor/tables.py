@@ -12,7 +12,7 @@ from dualhead_eval.report.table import Cell, Column, Table, number, with_bounds
 from dualhead_eval.studies.monitor.conclusions import Conclusions
 from dualhead_eval.studies.monitor.families import FamilyMeasure, holm
 from dualhead_eval.studies.monitor.log_table import MonitorLog
-from dualhead_eval.studies.monitor.registration import Registration
+from dualhead_eval.studies.monitor.registration import Registration, registered_resampled
 from dualhead_eval.studies.monitor.verdicts import Verdict
 
 _DELTA = "\N{GREEK CAPITAL LETTER DELTA}"
@@ -49,13 +49,14 @@ def study_tables(
 
 def _verdicts(found: Conclusions, protocol: Registration, beside: Mapping[str, Conclusions]) -> Table:
     rows: list[tuple[str | Cell, ...]] = []
+    claims = {protocol.primary_arm, *registered_resampled().claims}
     for arm, verdicts in found.verdicts.items():
         for verdict in verdicts:
             spec = "+.3f" if "AUROC" in verdict.measure else "+.1%"
             grade: str | Cell = verdict.grade if verdict.grade != "not tested" else Cell(verdict.grade)
             rows.append(
                 (
-                    f"{arm} - {protocol.baseline}" + ("" if arm == protocol.primary_arm else " (no claim)"),
+                    f"{arm} - {protocol.baseline}" + ("" if arm in claims else " (no claim)"),
                     verdict.name,
                     verdict.measure,
                     with_bounds(verdict.value, verdict.interval, spec),

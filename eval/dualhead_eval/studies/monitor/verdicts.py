@@ -17,7 +17,7 @@ class Verdict:
     """A criterion and how it came out.
 
     Attributes:
-        name: P1, P2, S1, S2, S4, S5a or S5b.
+        name: P1, P2, S1, S2, S4, S5a, S5b, S6a or S6b.
         measure: What was compared, in words.
         value: The difference.
         interval: The interval that decides.
@@ -120,3 +120,17 @@ def report_difference(name: str, measure: str, arm: FamilyMeasure, baseline: Fam
     difference = arm - baseline
     reason = f"{arm.value:.1%} against {baseline.value:.1%}"
     return Verdict(name, measure, difference.value, difference.interval(), "reported", reason)
+
+
+def report_beside_primary(
+    primary: str, arm: Mapping[str, FamilyMeasure], other: Mapping[str, FamilyMeasure]
+) -> list[Verdict]:
+    """S6: a resampled arm less the primary arm, whose coordination was trained: the gap (a) and the AUROC (b)."""
+    return [
+        Verdict(name, f"{words}, less that of {primary}", difference.value, difference.interval(), "reported",
+                f"{arm[measure].value:{spec}} against {other[measure].value:{spec}}")
+        for name, measure, words, spec in (
+            ("S6a", "gap", "gap of false alarms", "+.1%"), ("S6b", "auroc", "AUROC", ".3f"),
+        )
+        for difference in [arm[measure] - other[measure]]
+    ]  # fmt: skip
