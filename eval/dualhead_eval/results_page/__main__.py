@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dualhead_eval.results_page.graded_studies import GradedStudy
+    from dualhead_eval.results_page.template import Insert
 
 TEMPLATE, PAGE = Path("docs") / "results.template.md", Path("docs") / "results.md"
 NOTE = (
@@ -20,9 +27,11 @@ def results_page(template: Path = TEMPLATE) -> str:
         FileNotFoundError: If there is no template.
         ValueError: If it asks for what there is not.
     """
+    from dualhead_eval.results_page.claims import claims_table
     from dualhead_eval.results_page.consistency import consistency_table, ladder_table, optimum_table
     from dualhead_eval.results_page.ensembles import ensemble_sections
     from dualhead_eval.results_page.families import family_table
+    from dualhead_eval.results_page.graded_studies import graded_studies
     from dualhead_eval.results_page.loops import closed_loop_table
     from dualhead_eval.results_page.studies import study_sections
     from dualhead_eval.results_page.template import filled
@@ -31,6 +40,16 @@ def results_page(template: Path = TEMPLATE) -> str:
         raise FileNotFoundError(
             f"{template} does not exist, expected the page's template: run this in a clone's folder"
         )
+    studies = cache(graded_studies)
+
+    def of_studies(insert: Callable[[Sequence[GradedStudy]], str]) -> Insert:
+        def filled_in(arguments: list[str]) -> str:
+            if arguments:
+                raise ValueError(f"this line takes no arguments, {' '.join(arguments)!r} was given")
+            return insert(studies())
+
+        return filled_in
+
     inserts = {
         "families": family_table,
         "consistency": consistency_table,
@@ -38,7 +57,8 @@ def results_page(template: Path = TEMPLATE) -> str:
         "ladder": ladder_table,
         "closed_loop": closed_loop_table,
         "ensembles": ensemble_sections,
-        "studies": study_sections,
+        "claims": of_studies(claims_table),
+        "studies": of_studies(study_sections),
     }
     return NOTE + filled(template.read_text(encoding="utf-8"), inserts, source=str(template))
 

@@ -9,6 +9,7 @@ from dualhead_eval.results_page import ensembles
 from dualhead_eval.results_page.__main__ import PAGE, TEMPLATE, main, results_page
 from dualhead_eval.results_page.consistency import consistency_table
 from dualhead_eval.results_page.families import COLUMNS, family_table
+from dualhead_eval.results_page.graded_studies import graded_studies
 from dualhead_eval.results_page.studies import NOTHING, study_sections
 from dualhead_eval.results_page.template import filled, markdown_table
 from dualhead_eval.statistics.run_summary import residual_mm, summarise_run
@@ -66,7 +67,8 @@ def test_bars_are_escaped():
         ("<!-- insert consistency v4 results/v3 -->", "line 2: .*expected one of these"),
         ("<!-- insert optimum results/v3 -->", "line 2: .*takes no arguments"),
         ("<!-- insert closed_loop results/v3 -->", "line 2: results/v3 holds no"),
-        ("<!-- insert studies all -->", "line 2: the studies take no arguments"),
+        ("<!-- insert studies all -->", "line 2: this line takes no arguments, 'all'"),
+        ("<!-- insert claims all -->", "line 2: this line takes no arguments, 'all'"),
     ],
 )
 def test_what_cannot_be_inserted_is_named_with_its_line(in_the_clone, tmp_path, line, sentence):
@@ -98,7 +100,7 @@ def test_checking_writes_nothing_and_tells_a_page_that_has_drifted(tmp_path, mon
 
 def test_without_results_studies_and_ensembles_say_so(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert study_sections([]) == NOTHING
+    assert study_sections(graded_studies()) == NOTHING
     assert ensembles.ensemble_sections([]) == ensembles.NOTHING
 
 
