@@ -37,14 +37,15 @@ def resolve_source_noise(
     kinematic map to align by.
 
     Raises:
-        ValueError: If the caller's noise lacks a head, or an alignment is asked for that is unknown or not there.
+        ValueError: If the caller's noise lacks a head, or an alignment is asked for that is unknown, not there, or of
+            private noise.
     """
     if coupling.source_noise:
         missing = sorted(set(head_dims) - set(coupling.source_noise))
         if missing:
             raise ValueError(f"coupling.source_noise lacks {missing}: give the noise of every head")
         return coupling.source_noise
-    own = coupling.source_noise_beta
+    beta = _asked_beta(coupling, beta)
     aligned, asked = None, coupling.source_noise_alignment or own_alignment
     if asked is not None:
         if asked not in NOISE_ALIGNMENTS:
@@ -56,8 +57,26 @@ def resolve_source_noise(
             raise ValueError(
                 "the sampler has no kinematic map to align its source noise by: leave source_noise_alignment out"
             )
+        require_shared_noise(coupling, beta)
         aligned = alignment()
-    return coupled_source_noise(shape, head_dims, beta if own is None else own, generator, private, aligned)
+    return coupled_source_noise(shape, head_dims, beta, generator, private, aligned)
+
+
+def require_shared_noise(coupling: SamplingCoupling, beta: float) -> None:
+    """Refuse an alignment of noise that the heads do not share; ``beta`` is the sampler's own.
+
+    Raises:
+        ValueError: If the caller asks for an alignment and the noise is private.
+    """
+    if coupling.source_noise_alignment is not None and _asked_beta(coupling, beta) == 1:
+        raise ValueError(
+            f"source_noise_alignment={coupling.source_noise_alignment!r} is about noise that the heads share, and "
+            "source_noise_beta=1 shares none: give source_noise_beta=0 too, or leave the alignment out"
+        )
+
+
+def _asked_beta(coupling: SamplingCoupling, beta: float) -> float:
+    return beta if coupling.source_noise_beta is None else coupling.source_noise_beta
 
 
 def resolve_shared_draws(

@@ -18,6 +18,7 @@ from dualhead_eval.commands.policy_draws import (
     open_pair,
     open_sampler,
 )
+from dualhead_eval.commands.source_noise import add_source_noise_options
 
 if TYPE_CHECKING:
     from dualhead_eval.evaluation.protocol import EvaluationProtocol
@@ -34,8 +35,8 @@ SERVES = {
     "draws": ("policy", "pair"),
     "frame": ("policy", "pair"),
     "path_names": ("policy", "pair"),
-    "source_noise_beta": ("policy", "exact"),
-    "source_noise_alignment": ("policy", "exact"),
+    "source_noise_beta": ("policy", "exact", "record"),
+    "source_noise_alignment": ("policy", "exact", "record"),
     "redraw_token": ("policy", "exact"),
     "token_draw": ("policy", "exact"),
     "update_card": ("policy",),
@@ -146,12 +147,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--monitor", type=Path, metavar="DIR", help="run a fitted failure monitor beside the episodes and record it too"
     )
     shared = parser.add_argument_group("what the heads share (default: as the policy was trained)")
-    shared.add_argument("--source-noise-beta", type=float, metavar="B", help="1 private noise, 0 shared noise")
-    shared.add_argument(
-        "--source-noise-alignment",
-        choices=["kinematic"],
-        help="shared noise goes from joint to position head through the kinematic map, not coordinate by coordinate",
-    )
+    add_source_noise_options(shared)
     shared.add_argument("--redraw-token", action="store_true", help="give each head a token of its own")
     shared.add_argument(
         "--token-draw", choices=["uniform", "marginal", "learned"], help="how the heads' token is drawn"

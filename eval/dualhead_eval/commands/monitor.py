@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dualhead_eval.commands import monitor_attach, monitor_converse, monitor_regimes, monitor_study
 from dualhead_eval.commands.counts import require_counts
+from dualhead_eval.commands.source_noise import add_source_noise_options, given_source_noise
 
 if TYPE_CHECKING:
     from dualhead_eval.monitor.decision import Episode
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for action in (fit, score):
         action.add_argument("rollouts", nargs="+", type=Path, metavar="DIR", help="folders of recorded rollouts")
         action.add_argument("--policy", metavar="DIR", help="monitor this policy instead of the one that drove")
+        add_source_noise_options(action.add_argument_group("with --policy (default: as it was trained)"))
         action.add_argument("--samples", type=int, help="with --policy: pairs per decision (default: as recorded)")
         action.add_argument("--seed", type=int, default=0, help="seed of splits, networks and draws (default: 0)")
         action.add_argument(
@@ -120,7 +122,7 @@ def _fit(args: argparse.Namespace) -> int:
     monitor.fit(kept, args.alpha, rng=np.random.default_rng(args.seed), training=training)
     provenance = {
         "rollouts": [str(path) for path in args.rollouts],
-        "policy": args.policy,
+        **_monitored(args),
         "seed": args.seed,
         "left_out_failures": len(episodes) - len(kept),
         "train_data": str(args.train_data) if args.train_data else None,
@@ -185,7 +187,7 @@ def _score(args: argparse.Namespace) -> int:
         "provenance": {
             "monitor": document.model_dump(exclude={"calibration"}),
             "rollouts": [str(path) for path in args.rollouts],
-            "policy": args.policy,
+            **_monitored(args),
             "seed": args.seed,
             "heads": describe(certificate),
         },
@@ -241,6 +243,11 @@ def _open(args: argparse.Namespace) -> list[RecordedEpisodes]:
 
     if args.samples is not None and (args.samples < 1 or not args.policy):
         raise ValueError(f"--samples {args.samples} is for --policy and at least 1: leave it out, or give both")
+    if given_source_noise(args) is not None and not args.policy:
+        raise ValueError(
+            "--source-noise-beta and --source-noise-alignment say how --policy is sampled on the recording, and no "
+            "policy is given: leave them out, or record with them (`dualhead evaluate --record`)"
+        )
     flag: Callable | None = BranchFlag.from_split(read_split(args.flag_data)) if args.flag_data else None
     recordings = [open_rollouts(path, flag=flag) for path in args.rollouts]
     for recorded in recordings[1:]:
@@ -268,7 +275,22 @@ def _episodes(args: argparse.Namespace, recorded: RecordedEpisodes) -> Iterable[
     if not hasattr(args, "loaded"):
         args.loaded = load_policy(args.policy)
     policy, preprocess = args.loaded
-    return resampled_episodes(recorded, policy, preprocess, samples=_samples(args, recorded), seed=args.seed)
+    return resampled_episodes(
+        recorded,
+        policy,
+        preprocess,
+        samples=_samples(args, recorded),
+        seed=args.seed,
+        coupling=given_source_noise(args),
+    )
+
+
+def _monitored(args: argparse.Namespace) -> dict[str, Any]:
+    """What a file says of the policy that is monitored instead of the one that drove."""
+    from dualhead_eval.evaluation.protocol import described_coupling
+
+    coupling = given_source_noise(args)
+    return {"policy": args.policy, **({} if coupling is None else {"coupling": described_coupling(coupling)})}
 
 
 def _brief(limits: Any) -> str:

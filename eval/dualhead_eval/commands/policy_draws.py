@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from dualhead_eval.evaluation.decisions import Decider
     from dualhead_eval.evaluation.draws import PolicyDraws
     from dualhead_eval.evaluation.samplers import EvaluatedSampler
+    from dualhead_policy.sampling import SamplingCoupling
 
 
 def add_pair_input(what: argparse._ActionsContainer) -> None:
@@ -70,20 +71,25 @@ def open_sampler(path: str, args: argparse.Namespace) -> EvaluatedSampler | Poli
     return PolicyDraws(open_paths(path, args.draws or "position"))
 
 
-def open_decisions(path: str, samples: int, window: int) -> tuple[Decider, dict[str, Any]]:
+def open_decisions(
+    path: str, samples: int, window: int, coupling: SamplingCoupling | None = None
+) -> tuple[Decider, dict[str, Any]]:
     """What decides for a policy in closed loop, and what a recording says of it.
 
     Args:
         path: The policy.
         samples: Pairs of chunks per decision.
         window: Steps in which a mode is told.
+        coupling: What the heads share; None: as they were trained.
 
     Raises:
         FileNotFoundError: If there is no policy.
-        ValueError: If it is damaged, of a type that is not opened, or ``samples`` leaves no fresh pair.
+        ValueError: If it is damaged, of a type that is not opened, or ``samples`` leaves no fresh pair, or it has no
+            two heads to couple.
     """
     from dualhead_eval.evaluation.decisions import Decisions
     from dualhead_eval.evaluation.draw_decisions import DrawDecisions
+    from dualhead_eval.evaluation.protocol import described_coupling
     from dualhead_policy.lerobot_policies.configuration_loading import read_policy_type
     from dualhead_policy.lerobot_policies.opening import open_lerobot_policy
     from dualhead_policy.pretrained import load_policy, policy_folder
@@ -94,7 +100,15 @@ def open_decisions(path: str, samples: int, window: int) -> tuple[Decider, dict[
         raise ValueError(f"--samples {samples} is not positive: give at least 1")
     if read_policy_type(folder) == "dualhead":
         policy, preprocess = load_policy(folder)
-        return Decisions(policy, preprocess, samples), policy_provenance(policy, folder)
+        provenance = policy_provenance(policy, folder)
+        if coupling is not None:
+            provenance["coupling"] = described_coupling(coupling)
+        return Decisions(policy, preprocess, samples, coupling), provenance
+    if coupling is not None:
+        raise ValueError(
+            f"the source noise is about both heads of a dual-head policy, and {path} is of another type: leave "
+            "--source-noise-beta and --source-noise-alignment out"
+        )
     drawn = open_lerobot_policy(folder)
     return DrawDecisions(drawn, samples, window), lerobot_provenance(drawn.policy.config, folder)
 

@@ -7,6 +7,7 @@ import argparse
 from dualhead_eval.commands.pictures import require_films
 from dualhead_eval.commands.policy_draws import open_decisions
 from dualhead_eval.commands.rollout_monitor import open_monitor
+from dualhead_eval.commands.source_noise import given_source_noise
 
 
 def roll_out(args: argparse.Namespace, episodes: int) -> None:
@@ -33,7 +34,9 @@ def roll_out(args: argparse.Namespace, episodes: int) -> None:
     env_kwargs = {**env_kwargs, "control": args.control or "joint", **given}
     require_films(args, env_id, env_kwargs)
     samples = 2 if args.samples is None else args.samples
-    decisions, provenance = open_decisions(args.policy[0], samples, frames.sidecar.get("horizon", 16))
+    decisions, provenance = open_decisions(
+        args.policy[0], samples, frames.sidecar.get("horizon", 16), given_source_noise(args)
+    )
     watch = None
     if args.monitor is not None:
         names = frames.info["features"]["observation.state"]["names"]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 import torch
 
 from dualhead_envs.layout import Layout
+from dualhead_policy.flow.coupling import require_shared_noise
 from dualhead_policy.modeling_dualhead import DualheadPolicy
 from dualhead_policy.representation import RepresentationLayout
 from dualhead_policy.sampling import SamplingCoupling
@@ -80,9 +82,10 @@ class Decisions:
         policy: The policy.
         preprocess: Its preprocessor.
         samples: Pairs of chunks per decision.
+        coupling: What the heads share; None: as they were trained. The episode's token or latent stays the episode's.
 
     Raises:
-        ValueError: If all of a decision's pairs would follow what the episode holds.
+        ValueError: If all of a decision's pairs would follow what the episode holds, or private noise is to be aligned.
 
     Attributes:
         generator: Source of all draws of one episode.
@@ -91,7 +94,15 @@ class Decisions:
         chunk: Dual actions of the last decision that are still to be executed.
     """
 
-    def __init__(self, policy: DualheadPolicy, preprocess: Callable[[Any], Any], samples: int) -> None:
+    def __init__(
+        self,
+        policy: DualheadPolicy,
+        preprocess: Callable[[Any], Any],
+        samples: int,
+        coupling: SamplingCoupling | None = None,
+    ) -> None:
+        self.coupling = coupling or SamplingCoupling()
+        require_shared_noise(self.coupling, policy.config.source_noise_beta)
         self.policy, self.preprocess, self.samples = policy, preprocess, samples
         self.horizon, self.interval = policy.config.chunk_size, policy.config.n_action_steps or 1
         self.held, self.steps = held_pairs(policy), policy.config.num_inference_steps
@@ -160,7 +171,7 @@ class Decisions:
             if self.latent is not None:
                 latent[:, 0] = self.latent
             self.latent = latent[:, 0]
-        coupling = SamplingCoupling(token=token, latent=latent)
+        coupling = replace(self.coupling, token=token, latent=latent)
         drawn = policy.sample(batch, self.samples, coupling=coupling, generator=self.generator)
         for head in policy.model.head_dims:
             if not torch.isfinite(getattr(drawn, head)).all():

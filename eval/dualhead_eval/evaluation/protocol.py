@@ -50,18 +50,7 @@ class EvaluationProtocol:
             raise ValueError(f"taus={list(self.taus)}, expected finite thresholds above 0: give others")
         if self.seed < 0:
             raise ValueError(f"seed={self.seed} is negative: give 0 or more")
-        beta = self.coupling.source_noise_beta
-        if beta is not None and not 0 <= beta <= 1:
-            raise ValueError(f"source_noise_beta={beta} is outside [0, 1]: give 1 (private) to 0 (shared noise)")
-        if self.coupling.source_noise_alignment not in (None, *NOISE_ALIGNMENTS):
-            raise ValueError(
-                f"source_noise_alignment={self.coupling.source_noise_alignment!r} is none of "
-                f"{', '.join(NOISE_ALIGNMENTS)}: give one of them, or leave it out"
-            )
-        if self.coupling.token_draw not in (None, *TOKEN_DRAWS):
-            raise ValueError(
-                f"token_draw={self.coupling.token_draw!r} is none of {', '.join(TOKEN_DRAWS)}: give one of them"
-            )
+        require_coupling(self.coupling)
 
     @property
     def reference_nfe(self) -> int:
@@ -98,3 +87,21 @@ def described_coupling(coupling: SamplingCoupling) -> dict[str, Any]:
     said: dict[str, Any] = {"source_noise_beta": coupling.source_noise_beta, "share_token": coupling.share_token}
     younger = {"token_draw": coupling.token_draw, "source_noise_alignment": coupling.source_noise_alignment}
     return said | {name: value for name, value in younger.items() if value is not None}
+
+
+def require_coupling(coupling: SamplingCoupling) -> None:
+    """Refuse a coupling that no policy can be sampled under.
+
+    Raises:
+        ValueError: If beta lies outside [0, 1], or an alignment or a draw of tokens is unknown.
+    """
+    beta = coupling.source_noise_beta
+    if beta is not None and not 0 <= beta <= 1:
+        raise ValueError(f"source_noise_beta={beta} is outside [0, 1]: give 1 (private) to 0 (shared noise)")
+    if coupling.source_noise_alignment not in (None, *NOISE_ALIGNMENTS):
+        raise ValueError(
+            f"source_noise_alignment={coupling.source_noise_alignment!r} is none of "
+            f"{', '.join(NOISE_ALIGNMENTS)}: give one of them, or leave it out"
+        )
+    if coupling.token_draw not in (None, *TOKEN_DRAWS):
+        raise ValueError(f"token_draw={coupling.token_draw!r} is none of {', '.join(TOKEN_DRAWS)}: give one of them")

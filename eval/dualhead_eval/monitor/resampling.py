@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dualhead_eval.monitor.decision import Episode
 from dualhead_eval.monitor.recorded_episodes import OBSERVATIONS, RecordedEpisodes
 from dualhead_policy.modeling_dualhead import DualheadPolicy
+from dualhead_policy.sampling import SamplingCoupling
 
 
 def resampled_episodes(
@@ -21,11 +22,13 @@ def resampled_episodes(
     *,
     samples: int,
     seed: int,
+    coupling: SamplingCoupling | None = None,
 ) -> Iterator[Episode]:
     """The recorded episodes with ``policy``'s predictions, ``samples`` fresh pairs per decision.
 
     What the robot did stays the executing policy's; ``chunk`` is what ``policy`` would have executed. Draws are a
-    function of seed and episode, whatever is scored beside.
+    function of seed and episode, whatever is scored beside. ``coupling`` is what its heads share, None what they were
+    trained to.
 
     Raises:
         ValueError: If the policy has another layout.
@@ -41,7 +44,7 @@ def resampled_episodes(
         raw = {key: torch.from_numpy(recorded.columns[key][frames]) for key in OBSERVATIONS}
         generator = torch.Generator().manual_seed(int(np.random.SeedSequence([seed, number]).generate_state(1)[0]))
         with torch.no_grad():
-            drawn = policy.sample(preprocess(raw), samples, generator=generator)
+            drawn = policy.sample(preprocess(raw), samples, coupling=coupling, generator=generator)
         chunks: dict[int, tuple[NDArray, NDArray]] = {
             int(frame): (joint, position)
             for frame, joint, position in zip(

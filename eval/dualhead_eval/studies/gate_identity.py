@@ -141,6 +141,7 @@ def refuse_other_loop(
         ("environment", sidecar["env_id"], dataset.env),
         *((f"environment's {name}", given.get(name), value) for name, value in wanted_kwargs.items()),
         ("perturbation", given.get("perturbation"), None),
+        ("coupling", provenance.get("coupling"), None),
         ("number of episodes", len(seeds), loop.episodes),
         ("first episode's seed", min(seeds), loop.first_seed),
         ("last episode's seed", max(seeds), loop.first_seed + loop.episodes - 1),

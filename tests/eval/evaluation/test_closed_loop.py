@@ -17,6 +17,8 @@ from dualhead_eval.cli import main
 from dualhead_eval.evaluation.closed_loop import record_rollouts
 from dualhead_eval.evaluation.decisions import held_pairs
 from dualhead_eval.evaluation.rollouts import ClosedLoop, read_closed_loop, rollout_gate
+from dualhead_eval.gate import read_gate
+from dualhead_eval.paper.mechanism import mechanism_of
 from dualhead_policy.configuration_dualhead import DualheadConfig
 from dualhead_policy.pretrained import load_policy
 from dualhead_policy.processor_dualhead import make_dualhead_pre_post_processors
@@ -107,6 +109,41 @@ def test_two_processes_do_not_record_into_one_folder(trained, ring_data, tmp_pat
     assert "another process" in capsys.readouterr().err
     assert main(arguments) == 0
     assert {path.name for path in tmp_path.iterdir()} == {"rollouts", "loop.gate.json"}
+
+
+def test_a_closed_loop_is_recorded_with_the_noise_that_is_asked_for(trained, ring_data, tmp_path, capsys):
+    """A recording and its gate say under which coupling of the heads' noise they were made."""
+    arguments = ["evaluate", "--policy", str(trained), "--dataset", str(ring_data / "test"), "--episodes", "2"]
+    aligned = ["--source-noise-beta", "0", "--source-noise-alignment", "kinematic"]
+    gates, recorded = {}, {}
+    for name, more in {"own": [], "aligned": aligned}.items():
+        gate, target = tmp_path / f"{name}.gate.json", tmp_path / name
+        assert main([*arguments, "--record", str(target), "--output", str(gate), "--samples", "3", *more]) == 0
+        gates[name], recorded[name] = (
+            mechanism_of(read_gate(gate)),
+            read_rollout_sidecar(target / "meta" / "dualhead.json"),
+        )
+    assert "coupling" not in recorded["own"]["policy"]
+    assert recorded["aligned"]["policy"]["coupling"]["source_noise_alignment"] == "kinematic"
+    assert [(one.beta, one.alignment) for one in gates.values()] == [(1.0, None), (0.0, "kinematic")]
+    capsys.readouterr()
+    for more, sentence in (
+        (["--source-noise-alignment", "kinematic"], "source_noise_beta=1 shares none: give source_noise_beta=0 too"),
+        (["--source-noise-beta", "1.5"], "source_noise_beta=1.5 is outside [0, 1]"),
+    ):
+        target = tmp_path / "refused"
+        arguments = [
+            "evaluate",
+            "--policy",
+            str(trained),
+            "--dataset",
+            str(ring_data / "test"),
+            "--record",
+            str(target),
+        ]
+        assert main([*arguments, "--output", str(tmp_path / "refused.gate.json"), *more]) == 2
+        assert sentence in capsys.readouterr().err
+        assert not target.exists()
 
 
 def test_a_pose_is_executed_where_the_policy_has_an_orientation_head(panda_data, trained, ring_data, tmp_path, capsys):

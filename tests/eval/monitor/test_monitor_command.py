@@ -63,6 +63,15 @@ def test_another_policy_is_fitted_and_scored_on_the_same_recording(rollouts, tra
         main(["monitor", "score", str(rollouts["test"]), *chosen, "--monitor", str(folder), "--output", str(scores)])
         == 0
     )
+    # Shared noise is another monitor, and its file says so.
+    shared = [*chosen, "--source-noise-beta", "0", "--output", str(tmp_path / "shared")]
+    assert main(["monitor", "fit", str(rollouts["calibration"]), *shared, "--signals", "residual_matched"]) == 0
+    files = [json.loads((tmp_path / name / "monitor.json").read_text()) for name in ("M", "shared")]
+    assert ["coupling" in file["provenance"] for file in files] == [False, True]
+    assert files[1]["provenance"]["coupling"]["source_noise_beta"] == 0
+    assert (tmp_path / "M" / "monitor.safetensors").read_bytes() != (
+        tmp_path / "shared" / "monitor.safetensors"
+    ).read_bytes()
     # The recording has four pairs per decision, this monitor two.
     arguments = ["monitor", "score", str(rollouts["test"]), "--monitor", str(folder), "--output", str(scores)]
     assert main([*arguments, "--overwrite"]) == 2
@@ -78,6 +87,7 @@ def test_another_policy_is_fitted_and_scored_on_the_same_recording(rollouts, tra
         (["fit", "{calibration}", "--output", "{new}", "--aggregator", "median"], "'median' is not known"),
         (["fit", "{calibration}", "--output", "{new}", "--threshold", "mondrian"], "--flag-data"),
         (["fit", "{calibration}", "--output", "{new}", "--samples", "2"], "--samples 2 is for --policy"),
+        (["fit", "{calibration}", "--output", "{new}", "--source-noise-beta", "0"], "no policy is given"),
         (["fit", "{calibration}", "--output", "{monitor}"], "already holds"),
         (["fit", "{none}", "--output", "{new}"], "not a LeRobotDataset"),
         (["fit", "{demonstrations}", "--output", "{new}"], "not a dataset of recorded rollouts"),

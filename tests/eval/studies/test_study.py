@@ -81,6 +81,7 @@ def test_closed_loops_of_something_else_are_refused(copied, capsys):
         (lambda content: content["policy"].update(training_step=50), "training_step 50, expected 150"),
         (lambda content: content["policy"]["config"].update(token="oracle"), "policy.token 'oracle', expected None"),
         (lambda content: content["env_kwargs"].update(perturbation="action_noise"), "perturbation"),
+        (lambda content: content["policy"].update(coupling={"source_noise_beta": 0.0}), "coupling"),
     ):
         content = json.loads(gzip.decompress(whole))
         change(content)

@@ -124,6 +124,9 @@ def test_what_has_no_map_or_no_such_alignment_is_refused():
         resolve_source_noise(ALIGNED, (1, 1, HORIZON), dims, 0.0, generator)
     with pytest.raises(ValueError, match="'mirror' is none of kinematic"):
         resolve_source_noise(SamplingCoupling(source_noise_alignment="mirror"), (1, 1, HORIZON), dims, 0.0, generator)
+    private = SamplingCoupling(source_noise_beta=1.0, source_noise_alignment="kinematic")
+    with pytest.raises(ValueError, match="source_noise_beta=1 shares none: give source_noise_beta=0 too"):
+        resolve_source_noise(private, (1, 1, HORIZON), dims, 0.0, generator, alignment=dict)
     batch = {"observation.environment_state": torch.tensor([[1.0, 0.0, 1.0]])}
     with pytest.raises(ValueError, match="no kinematic map to align"):
         ExactReference(2, "polar").sample(batch, 1, coupling=ALIGNED, generator=generator)
