@@ -126,11 +126,11 @@ def report_beside_primary(
     primary: str, arm: Mapping[str, FamilyMeasure], other: Mapping[str, FamilyMeasure]
 ) -> list[Verdict]:
     """S6: a resampled arm less the primary arm, whose coordination was trained: the gap (a) and the AUROC (b)."""
-    return [
-        Verdict(name, f"{words}, less that of {primary}", difference.value, difference.interval(), "reported",
-                f"{arm[measure].value:{spec}} against {other[measure].value:{spec}}")
-        for name, measure, words, spec in (
-            ("S6a", "gap", "gap of false alarms", "+.1%"), ("S6b", "auroc", "AUROC", ".3f"),
-        )
-        for difference in [arm[measure] - other[measure]]
-    ]  # fmt: skip
+
+    def reported(name: str, measure: str, words: str, spec: str) -> Verdict:
+        difference = arm[measure] - other[measure]
+        reason = f"{arm[measure].value:{spec}} against {other[measure].value:{spec}}"
+        what = f"{words}, less that of {primary}"
+        return Verdict(name, what, difference.value, difference.interval(), "reported", reason)
+
+    return [reported("S6a", "gap", "gap of false alarms", "+.1%"), reported("S6b", "auroc", "AUROC", ".3f")]
