@@ -389,7 +389,12 @@ def test_the_kept_results_give_what_is_published(protocol):
     seeds = {arm: len(own) for arm, own in found.seeds.items()}
     text = (root / "docs" / "monitor.md").read_text()
     assert "six seeds of A and I" in text
-    assert seeds == {"A": 6, "I": 6, "K": 6}
+    assert seeds == {"A": 6, "I": 6, "K": 6, "A_aligned": 6, "A_shared": 1}
+    aligned = {verdict.name: verdict for verdict in found.verdicts["A_aligned"]}
+    values = {"P1": -0.258, "P2": 0.009, "S1": 0.006, "S2": -0.015, "S4": -0.300, "S6a": -0.020, "S6b": 0.004}
+    assert {name: verdict.value for name, verdict in aligned.items()} == pytest.approx(values, abs=6e-4)
+    assert [aligned[name].grade for name in ("P1", "P2")] == ["met", "not decided"]
+    assert found.regimes["A_aligned"].delta == pytest.approx(0.276, abs=5e-4)
 
 
 def test_the_kept_results_of_v3_give_what_is_published():
