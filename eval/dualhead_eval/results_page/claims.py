@@ -56,6 +56,7 @@ CLAIMS = (
             "v3-atlas/consistency",
             "v3-atlas/consistency-paper-budget",
             "third-way/consistency",
+            "v2-atlas/ladder",
             "ring-factorial/ladder",
             "budget/G-default-constant",
             "budget/G-paper-network",
