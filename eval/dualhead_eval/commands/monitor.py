@@ -287,10 +287,9 @@ def _episodes(args: argparse.Namespace, recorded: RecordedEpisodes) -> Iterable[
 
 def _monitored(args: argparse.Namespace) -> dict[str, Any]:
     """What a file says of the policy that is monitored instead of the one that drove."""
-    from dualhead_eval.evaluation.protocol import described_coupling
+    from dualhead_eval.evaluation.protocol import coupling_provenance
 
-    coupling = given_source_noise(args)
-    return {"policy": args.policy, **({} if coupling is None else {"coupling": described_coupling(coupling)})}
+    return {"policy": args.policy} | coupling_provenance(given_source_noise(args))
 
 
 def _brief(limits: Any) -> str:

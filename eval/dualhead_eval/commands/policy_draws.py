@@ -89,7 +89,7 @@ def open_decisions(
     """
     from dualhead_eval.evaluation.decisions import Decisions
     from dualhead_eval.evaluation.draw_decisions import DrawDecisions
-    from dualhead_eval.evaluation.protocol import described_coupling
+    from dualhead_eval.evaluation.protocol import coupling_provenance
     from dualhead_policy.lerobot_policies.configuration_loading import read_policy_type
     from dualhead_policy.lerobot_policies.opening import open_lerobot_policy
     from dualhead_policy.pretrained import load_policy, policy_folder
@@ -100,9 +100,7 @@ def open_decisions(
         raise ValueError(f"--samples {samples} is not positive: give at least 1")
     if read_policy_type(folder) == "dualhead":
         policy, preprocess = load_policy(folder)
-        provenance = policy_provenance(policy, folder)
-        if coupling is not None:
-            provenance["coupling"] = described_coupling(coupling)
+        provenance = policy_provenance(policy, folder) | coupling_provenance(coupling)
         return Decisions(policy, preprocess, samples, coupling), provenance
     if coupling is not None:
         raise ValueError(

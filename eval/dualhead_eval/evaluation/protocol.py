@@ -89,6 +89,11 @@ def described_coupling(coupling: SamplingCoupling) -> dict[str, Any]:
     return said | {name: value for name, value in younger.items() if value is not None}
 
 
+def coupling_provenance(coupling: SamplingCoupling | None) -> dict[str, Any]:
+    """The entry of a provenance about a policy that is sampled under a coupling; none where it is its own."""
+    return {} if coupling is None else {"coupling": described_coupling(coupling)}
+
+
 def require_coupling(coupling: SamplingCoupling) -> None:
     """Refuse a coupling that no policy can be sampled under.
 

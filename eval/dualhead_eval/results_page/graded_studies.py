@@ -50,19 +50,19 @@ def graded_studies() -> list[GradedStudy]:
     Raises:
         ValueError: If a study or a gate file is damaged, or a gate is not what its study asks for.
     """
+    shared = StudyFolders(RESULTS, "")  # gates, references and closed loops are those of all studies
+    store, closed_loops = GateStore(shared.gates), ClosedLoopStore(shared.closed_loops)
+    references = StudyReferences([shared.references, OPTIMA])
     found = []
     for path in sorted(STUDIES.glob("*.yaml")):
         study = read_study(path)
         plan = plan_study(study)
-        folders = StudyFolders(RESULTS, path.stem)
-        store = GateStore(folders.gates)
         cells = study_cells(plan, store.results(plan))
         if not cells:
             continue
-        references = StudyReferences([folders.references, OPTIMA])
-        loops = ClosedLoopStore(folders.closed_loops).results(plan)
+        loops = closed_loops.results(plan)
         grades = grade_study(study, cells, references.rho, loops)
-        done = len(plan.evaluations) - len(store.missing(plan))
+        done, folders = len(plan.evaluations) - len(store.missing(plan)), StudyFolders(RESULTS, path.stem)
         found.append(
             GradedStudy(path.stem, study, folders, cells, references, loops, grades, done, len(plan.evaluations))
         )

@@ -132,16 +132,8 @@ def test_a_closed_loop_is_recorded_with_the_noise_that_is_asked_for(trained, rin
         (["--source-noise-beta", "1.5"], "source_noise_beta=1.5 is outside [0, 1]"),
     ):
         target = tmp_path / "refused"
-        arguments = [
-            "evaluate",
-            "--policy",
-            str(trained),
-            "--dataset",
-            str(ring_data / "test"),
-            "--record",
-            str(target),
-        ]
-        assert main([*arguments, "--output", str(tmp_path / "refused.gate.json"), *more]) == 2
+        refused = [*arguments, "--record", str(target), "--output", str(tmp_path / "refused.gate.json")]
+        assert main([*refused, *more]) == 2
         assert sentence in capsys.readouterr().err
         assert not target.exists()
 

@@ -63,8 +63,8 @@ def test_an_arm_may_not_share_the_executors_seed():
 
 def test_resampled_arms_sample_policies_of_a_trained_arm_that_share_nothing_yet():
     protocol, resampled = registered(), registered_resampled()
-    for name, arm in resampled.arms.items():
-        assert name not in protocol.arms
+    for arm in resampled.arms:
+        assert arm.name not in protocol.arms
         assert protocol.arms[arm.of] == {"source_noise_beta": 1.0}
         assert arm.coupling.source_noise_beta == 0
-    assert set(resampled.claims) <= set(resampled.arms)
+    assert set(resampled.claims) <= {arm.name for arm in resampled.arms}

@@ -12,12 +12,7 @@ from dualhead_eval.studies.monitor.arm_scores import ArmScores
 from dualhead_eval.studies.monitor.families import Families, FamilyMeasure, RunMeasures
 from dualhead_eval.studies.monitor.log_table import MonitorLog
 from dualhead_eval.studies.monitor.regime import Regime, mean_regime, regime
-from dualhead_eval.studies.monitor.registration import (
-    LaterCriteria,
-    Registration,
-    Rule,
-    registered_resampled,
-)
+from dualhead_eval.studies.monitor.registration import LaterCriteria, Registration, Rule
 from dualhead_eval.studies.monitor.verdicts import (
     NOT_DECIDED,
     NOT_TESTED,
@@ -133,10 +128,9 @@ def _grade(
     if later is not None:
         rule = later.S5
         added = grade_distribution_rival(family(arm, rule.against), family(base, rule.signal), rule)
-    if arm in registered_resampled().arms and all(
-        (protocol.primary_arm, seed, criteria.P1.signal) in runs for seed in seeds
-    ):
-        added += report_beside_primary(protocol.primary_arm, ours, family(protocol.primary_arm, criteria.P1.signal))
+    primary = protocol.primary_arm
+    if arm not in protocol.arms and all((primary, seed, criteria.P1.signal) in runs for seed in seeds):
+        added += report_beside_primary(primary, ours, family(primary, criteria.P1.signal))
     return [
         grade_false_alarms(ours[criteria.P1.measure], theirs[criteria.P1.measure], criteria),
         grade_detection(ours[criteria.P2.measure], theirs[criteria.P2.measure], criteria),

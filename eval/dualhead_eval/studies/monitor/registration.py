@@ -9,7 +9,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from dualhead_envs.validated_json import Schema, validated
-from dualhead_policy.sampling import SamplingCoupling
+from dualhead_eval.studies.study_file import ResampledRow
 
 SOURCE, LATER_SOURCE, RESAMPLED_SOURCE = "registration.yaml", "later.yaml", "resampled.yaml"
 PolicyFields = dict[str, str | int | float]
@@ -176,31 +176,10 @@ class LaterCriteria(Schema):
     S5: DistributionRival
 
 
-class ResampledArm(Schema):
-    """An arm that trains nothing: another arm's policies, their source noise coupled otherwise in sampling.
-
-    Attributes:
-        of: The arm whose policies they are.
-        source_noise_beta: 1 private noise, 0 shared noise.
-        source_noise_alignment: Shared noise goes through the kinematic map; None: coordinate by coordinate.
-    """
-
-    of: str
-    source_noise_beta: Annotated[float, Field(ge=0, le=1)]
-    source_noise_alignment: Literal["kinematic"] | None = None
-
-    @property
-    def coupling(self) -> SamplingCoupling:
-        """What its heads share."""
-        return SamplingCoupling(
-            source_noise_beta=self.source_noise_beta, source_noise_alignment=self.source_noise_alignment
-        )
-
-
 class ResampledArms(Schema):
-    """Resampled arms by name, and those whose P1 and P2 are claims, apart from the protocol's own."""
+    """Arms that train nothing, and the names of those whose P1 and P2 are claims, apart from the protocol's own."""
 
-    arms: dict[str, ResampledArm]
+    arms: list[ResampledRow]
     claims: list[str]
 
 

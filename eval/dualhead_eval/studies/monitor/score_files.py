@@ -63,7 +63,7 @@ def score_file(log: Path, job: ScoreJob, scoring: Scoring, device: str) -> None:
     """Score one policy and write its file."""
     import torch
 
-    from dualhead_eval.evaluation.protocol import described_coupling
+    from dualhead_eval.evaluation.protocol import coupling_provenance
     from dualhead_eval.studies.monitor.log_table import read_log
     from dualhead_eval.studies.monitor.scoring import score_arm
     from dualhead_policy.pretrained import load_policy, policy_folder
@@ -73,9 +73,6 @@ def score_file(log: Path, job: ScoreJob, scoring: Scoring, device: str) -> None:
     quiet_libraries()
     torch.set_num_threads(1)
     policy, preprocess = load_policy(job.policy, device=device)
-    provenance = policy_provenance(policy, policy_folder(job.policy))
-    if job.coupling is not None:
-        provenance["coupling"] = described_coupling(job.coupling)
     scored = score_arm(
         read_log(log),
         policy,
@@ -83,7 +80,7 @@ def score_file(log: Path, job: ScoreJob, scoring: Scoring, device: str) -> None:
         samples=scoring.samples,
         seed=(scoring.seed, job.seed),
         signals=scoring.signals,
-        provenance=provenance,
+        provenance=policy_provenance(policy, policy_folder(job.policy)) | coupling_provenance(job.coupling),
         coupling=job.coupling,
     )
     scored.write(job.target)

@@ -71,7 +71,7 @@ class MonitorStudy:
         self.data = data or root / "data"
         self.given_arms, self.given_executor = arms, executor
         self.jobs, self.device = jobs, device
-        self.resampled = registered_resampled().arms
+        self.resampled = {arm.name: arm for arm in registered_resampled().arms}
         self.console = Console(stderr=True)
 
     @property
