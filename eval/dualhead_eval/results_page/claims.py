@@ -58,6 +58,8 @@ CLAIMS = (
             "third-way/consistency",
             "v2-atlas/ladder",
             "ring-factorial/ladder",
+            "ring-priors/consistency",
+            "ring-priors/consistency-keeps-modes",
             "budget/G-default-constant",
             "budget/G-paper-network",
         ),

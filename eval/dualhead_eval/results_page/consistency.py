@@ -95,7 +95,9 @@ def _is_g(named: NamedRun, environment: str) -> bool:
 
 def _is_ladder(named: NamedRun) -> bool:
     mechanism = mechanism_of(named.run.gate)
-    return mechanism.environment == "testbed" and mechanism.beta == 0 and mechanism.consistency > 0
+    # tab:maps is about two equally likely modes, and a folder may hold others under the same map.
+    place = mechanism.environment == "testbed" and mechanism.n_modes == 2 and mechanism.standard
+    return place and mechanism.beta == 0 and mechanism.consistency > 0
 
 
 def _ring_key(named: NamedRun) -> tuple[str, float]:

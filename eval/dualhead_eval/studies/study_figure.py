@@ -86,7 +86,7 @@ def _optimum(cell: StudyCell, references: StudyReferences) -> Beside | None:
         return None
     if found.n_conditions == cell.runs[0].gate.n_conditions:
         return Beside(found.rho, "exact optimum")
-    return Beside(found.rho, f"exact optimum, first {found.n_conditions} conditions", partial=True)
+    return Beside(found.rho, "exact optimum, on fewer conditions (the table counts them)", partial=True)
 
 
 def draw_study(cells: Sequence[StudyCell], references: StudyReferences, path: Path, shown: Shown = "rho") -> None:

@@ -7,7 +7,7 @@ import pytest
 from dualhead_eval.gate import read_gate, write_gate
 from dualhead_eval.results_page import ensembles
 from dualhead_eval.results_page.__main__ import PAGE, TEMPLATE, main, results_page
-from dualhead_eval.results_page.consistency import consistency_table
+from dualhead_eval.results_page.consistency import consistency_table, ladder_table
 from dualhead_eval.results_page.families import COLUMNS, family_table
 from dualhead_eval.results_page.graded_studies import graded_studies
 from dualhead_eval.results_page.studies import NOTHING, study_sections
@@ -46,6 +46,13 @@ def test_the_optimum_stands_beneath_the_runs_of_its_loss(in_the_clone):
     assert lines[2].startswith("| the paper (3 seeds) | 50,000 | 0.445 | +63.2 %")
     assert lines[3].startswith("| G_consistency_3, mine | 10,000")
     assert lines[-1].startswith("| **the optimum** |")
+
+
+def test_the_ladder_is_that_of_two_equally_likely_modes(in_the_clone):
+    assert (ROOT / "results/optimum/p92_consistency_3.gate.json.gz").is_file()  # beside it, under the same map
+    line = ladder_table(["results/ring"]).splitlines()[-1]
+    optimum = summarise_run(read_gate(ROOT / "results/optimum/nullspace_consistency_3.gate.json.gz"))
+    assert line.startswith(f"| 3 | {100 * optimum.rho:+.1f} % ")
 
 
 def test_a_template_keeps_its_text_and_fills_its_lines():

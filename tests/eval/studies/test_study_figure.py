@@ -35,7 +35,7 @@ def test_nothing_that_can_be_read_is_nothing_to_draw(cell):
 
 @pytest.mark.parametrize(
     ("conditions", "legend"),
-    [(30, "exact optimum"), (12, "exact optimum, first 12 conditions")],
+    [(30, "exact optimum"), (12, "exact optimum, on fewer conditions (the table counts them)")],
 )
 def test_an_optimum_of_fewer_conditions_than_the_cells_is_told_apart(cell, make_gate, tmp_path, conditions, legend):
     own = cell("B", [0.2, 0.3], config={"source_noise_beta": 0.0, "kinematic_map": "ring/nullspace"})
