@@ -32,6 +32,7 @@ def test_a_gate_of_the_optimum_is_named_after_its_weight_and_holds_the_protocol(
         ("nullspace", ("0.1", "0.3", "1", "3")),
         ("orthogonal", ("0.1", "0.3", "1", "3")),
         ("polar", ("0.1", "0.3", "1", "3")),
+        ("p92", ("0.1", "0.3", "1", "3")),
         ("v2", ("0.3", "1", "3", "10", "100")),
         ("v3", ("0.3", "1", "3", "100")),
     ],
@@ -41,3 +42,9 @@ def test_coordination_climbs_with_the_weight_and_validity_does_not_fall(where, w
     rho = [run.rho for run in runs]
     assert rho == sorted(rho)
     assert max(run.valid_rate for run in runs) - min(run.valid_rate for run in runs) < 0.005
+
+
+def test_the_optimum_loses_the_rarer_of_two_modes_as_consistency_weighs_more():
+    capacities = [summarise_run(GATES[f"p92_consistency_{weight}"]).capacity for weight in ("0.1", "0.3", "1", "3")]
+    assert capacities == sorted(capacities, reverse=True)
+    assert summarise_run(GATES["unequal_consistency_3"]).capacity == pytest.approx(0.5, abs=0.005)  # equally likely
